@@ -13,8 +13,8 @@ from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.results_out import SAME
-from sampling_design.accuracy.sample_chain import SampleChain
-from sampling_design.accuracy.search import ChainSearch, RowSearch
+from sampling_design.accuracy.sampled_system import SampledSystem
+from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.start import InitialError
 from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
@@ -171,7 +171,7 @@ def _answered(
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
     noise = noise_enough(question, known, limit) if question.timing_tolerance and safe else None
     bounding = question.noisier(noise)
-    search = ChainSearch(*bounding.filter_bounds(known.plant, known.moving), budget=limit) if safe else None
+    search = GainSearch(*bounding.filter_bounds(known.plant, known.moving), budget=limit) if safe else None
     if search is not None and noise is not None:
         added(search, question, known, seek=True)
     found: dict[int, RowSearch] = {}
@@ -183,8 +183,10 @@ def _answered(
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
     planned = None
     if noise is not None and search is not None:
-        chain, atoms = question.filter_bounds(known.plant, known.moving)
-        planned = ChainSearch(replace(chain, speed=speed_of(search.chain)), atoms, budget=limit)  # on the same panels
+        system, directions = question.filter_bounds(known.plant, known.moving)
+        planned = GainSearch(
+            replace(system, speed=speed_of(search.system)), directions, budget=limit
+        )  # on the same panels
     record = replace(
         _record(question, rows, known, search, found, tolerance, planned), deviation=deviation, noise=noise
     )
@@ -197,7 +199,7 @@ def _answered(
     return replace(record, question=asked, at_samples=at_samples, profile=profile, noise=noise)
 
 
-def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:
+def _bracketed(search: GainSearch, row: Array, tolerance: float) -> RowSearch:
     """The bracket and the profile of one row; after an interrupt what is proven by then."""
     try:
         found = search.row(row, tolerance, MOST_SOLVES)
@@ -209,30 +211,30 @@ def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:
 
 
 def _witness(
-    side: ChainSearch, question: AccuracyQuestion, searched: RowSearch, moves: bool, rounding: float
+    side: GainSearch, question: AccuracyQuestion, searched: RowSearch, moves: bool, rounding: float
 ) -> tuple[AccuracyWitness, int, int]:
     """The strongest witness of a row, its node and offset; at real times that are sought, if samples may move.
 
     At rest where it attains `rounding` alone.
     """
     witness, j, offset = strongest_witness(side, searched.row, question, searched)
-    if moves and j < len(side.chain):  # where some results are out, it stays at planned times
+    if moves and j < len(side.system):  # where some results are out, it stays at planned times
         witness = max(witness, moved_witness(side, question, searched, j, offset), key=lambda found: found.value)
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 
 
-def _edges(question: AccuracyQuestion, chain: SampleChain | None, found: RowSearch | None) -> Array:
+def _edges(question: AccuracyQuestion, system: SampledSystem | None, found: RowSearch | None) -> Array:
     """Where the panels of a profile begin and end: those of any row, or the gaps where no row is bounded."""
-    if chain is None or found is None:
+    if system is None or found is None:
         return np.append(question.nodes, question.end)
-    grids = [question.time_of(chain, j) + opened.d for j, opened in found.opened.items()]
+    grids = [question.time_of(system, j) + opened.d for j, opened in found.opened.items()]
     last = question.end if question.initial is not None else float(grids[0][0] + question.end - question.nodes[0])
     return np.concatenate([*(d[:-1] for d in grids), [last]])
 
 
-def _at_samples(question: AccuracyQuestion, chain: SampleChain, found: RowSearch) -> Array:
+def _at_samples(question: AccuracyQuestion, system: SampledSystem, found: RowSearch) -> Array:
     """What gains prove at each node once all results of its sample are in."""
-    begins = np.array([question.time_of(chain, j) + opened.d[0] for j, opened in found.opened.items()])
+    begins = np.array([question.time_of(system, j) + opened.d[0] for j, opened in found.opened.items()])
     comes = question.comes_after
     complete = question.nodes + np.where(np.isfinite(comes), comes, 0.0).max(axis=1, initial=0.0)
     period, first = question.end - question.nodes[0], begins[0]
@@ -248,14 +250,14 @@ def _record(
     question: AccuracyQuestion,
     rows: RequestedRows,
     known: DetectablePart,
-    finder: ChainSearch | None,
+    finder: GainSearch | None,
     found: dict[int, RowSearch],
     rtol: float,
-    planned: ChainSearch | None,
+    planned: GainSearch | None,
 ) -> Accuracy:
     """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
-    edges = _edges(question, None if finder is None else finder.chain, next(iter(found.values()), None))
+    edges = _edges(question, None if finder is None else finder.system, next(iter(found.values()), None))
     lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
     closed, offsets, known_from = np.ones(count, dtype=bool), np.zeros(count), np.full(count, np.inf)
     at_samples = np.full((count, len(times)), np.inf)
@@ -265,7 +267,7 @@ def _record(
     for k, search in found.items():
         assert finder is not None
         again = finder.opened(search.row)  # with what was found for the rows after it
-        at_samples[k] = _at_samples(question, finder.chain, again)
+        at_samples[k] = _at_samples(question, finder.system, again)
         above[k] = np.concatenate(list(again.panels.values()))
         side, searched = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
         below[k] = np.concatenate([side.below(searched, j)[:-1] for j in searched.opened])
@@ -274,7 +276,7 @@ def _record(
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         witness, j, offset = _witness(side, question, searched, side is planned and not known.modes, KEPT * upper[k])
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
-        worst[k] = question.time_of(finder.chain, j) + again.opened[j].d[offset]
+        worst[k] = question.time_of(finder.system, j) + again.opened[j].d[offset]
         if plain:
             worst[k] -= max(0.0, np.ceil(worst[k] / (question.end - times[0]) - 1)) * (question.end - times[0])
         offsets[k] = finder.offset(again, j, offset)
@@ -283,7 +285,9 @@ def _record(
         late = open_ends[-1] + 1 if open_ends.size else 0
         known_from[k] = -np.inf if plain else edges[late] if late < edges.size - 1 else np.inf
     if finder is not None:
-        proof = tuple(GapProof(j, freeze(a.mu), tuple(g.gains for g in a.gains)) for j, a in enumerate(finder.atoms))
+        proof = tuple(
+            GapProof(j, freeze(a.mu), tuple(g.gains for g in a.gains)) for j, a in enumerate(finder.directions)
+        )
     return Accuracy(
         question=question,
         rows=rows,

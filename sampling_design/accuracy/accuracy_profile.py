@@ -15,7 +15,7 @@ class GapProof:
     """Gains for some directions at one sample: what bounds every row from above over the gap that follows."""
 
     sample: int  # its place in the schedule's period
-    directions: Array  # (m, n): in the coordinates of the chain
+    directions: Array  # (m, n): in the coordinates of the system
     # for each direction, the gains of the samples back in time, the latest last, in units of v_bound
     gains: tuple[tuple[Array, ...], ...]
 

@@ -11,7 +11,7 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.accuracy.projection import Projection, project_rows
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.timing import KEPT_ROOM, added, is_enough, keeps_times
 from sampling_design.accuracy.undetectable import DetectablePart, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
@@ -157,12 +157,12 @@ class Accuracy(AccuracyBracket, CurveRecord):
         """Both sides in ball arithmetic."""
         from sampling_design.accuracy.rigorous import proven_above, proven_below
 
-        chain, _ = asked.filter_bounds(self.plant)
+        system, _ = asked.filter_bounds(self.plant)
         below = all(
             bool(lower == 0) if witness is None else proven_below(witness, self.bounds, float(lower))
             for witness, lower in zip(self.witnesses, self.lower, strict=True)
         )
-        return below and proven_above(chain, self.rows.matrix, self.upper, self.proof)
+        return below and proven_above(system, self.rows.matrix, self.upper, self.proof)
 
     def _upper_holds(self, asked: AccuracyQuestion, known: DetectablePart) -> bool:
         lost = np.array([known.touches(row) for row in self.rows.matrix])
@@ -171,7 +171,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if lost.all():
             return True
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
-        search = ChainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
+        search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)

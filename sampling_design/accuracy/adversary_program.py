@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
-from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.start import ErrorBefore, StartSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
@@ -53,28 +53,28 @@ class Adversary:
     z: Array  # (K, n)
 
 
-def boxed(chain: SampleChain, nodes: list[int]) -> bool:
+def boxed(system: SampledSystem, nodes: list[int]) -> bool:
     """Whether everything that bounds w and v at some samples does so entry by entry, and no sensor is exact."""
-    samples = [chain.samples[j] for j in nodes]
-    round_v = chain.bounds.v_ball and any(len(s.H) > 1 for s in samples)
-    return not (chain.bounds.w_ball or round_v or any(s.exact.any() for s in samples))
+    samples = [system.samples[j] for j in nodes]
+    round_v = system.bounds.v_ball and any(len(s.H) > 1 for s in samples)
+    return not (system.bounds.w_ball or round_v or any(s.exact.any() for s in samples))
 
 
 class ConeWindow:
-    """Samples `nodes` of a chain, the target's last; `start`: bounds on |z| before the first, or a set of them.
+    """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them.
 
     `data` are the measurements less what they would be without error, one array for each sample, in units of its noise.
     """
 
     def __init__(
         self,
-        chain: SampleChain,
+        system: SampledSystem,
         nodes: list[int],
         start: ErrorBefore,
         data: list[Array] | None = None,
         tolerance: float = TOLERANCE,
     ):
-        self.chain, self.nodes, self.start, self.data = chain, nodes, start, data
+        self.system, self.nodes, self.start, self.data = system, nodes, start, data
         self._tolerance = tolerance
         self.infeasible = False
         self._stages = self._staged()
@@ -84,22 +84,22 @@ class ConeWindow:
 
     def _staged(self) -> StageProgram | None:
         """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
-        chain, start = self.chain, self.start
-        gaps, samples = [chain.gap(j) for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
-        if self.data is not None or not boxed(chain, self.nodes) or not gaps:
+        system, start = self.system, self.start
+        gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
+        if self.data is not None or not boxed(system, self.nodes) or not gaps:
             return None
         fits, S = start.staged()
         if not fits:
             return None
-        n = chain.D.size
+        n = system.D.size
         B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
         return StageProgram([gap.F for gap in gaps], B, [s.H for s in samples], S)
 
     def _build(self) -> None:
-        chain, n, q = self.chain, self.chain.D.size, self.chain.G.shape[1]
+        system, n, q = self.system, self.system.D.size, self.system.G.shape[1]
         K = len(self.nodes)
         self._built = True
-        gaps, samples = [chain.gap(j) for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
+        gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
         B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
         self._w_at = K * n + np.concatenate([[0], np.cumsum([own.shape[1] for own in B])]).astype(int)
         table, y = ConeTable(int(self._w_at[-1])), self.data or [np.zeros(len(s.H)) for s in samples]
@@ -109,15 +109,15 @@ class ConeWindow:
         table.end("zero")
         self.start.pose(table, ball=False)
         noisy = [(k * n, s.H[~s.exact], y[k][~s.exact]) for k, s in enumerate(samples)]
-        round_v = [chain.bounds.v_ball and len(H) > 1 for _, H, _ in noisy]
+        round_v = [system.bounds.v_ball and len(H) > 1 for _, H, _ in noisy]
         each = list(zip(noisy, round_v, strict=True))
         self._box_at = [-1 if r else table.box(at, H, np.ones(len(H)), own) for (at, H, own), r in each]
-        if not chain.bounds.w_ball:
+        if not system.bounds.w_ball:
             table.unit_box(K * n, table.columns - K * n)
         table.end("nonnegative")
         self._ball_at = [table.ball(*one) if r else -1 for one, r in each]
         self.start.pose(table, ball=True)
-        if chain.bounds.w_ball and q:
+        if system.bounds.w_ball and q:
             table.unit_balls(K * n, q, (table.columns - K * n) // q)
         self._b, self._solver = table.b(), ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance)
 
@@ -127,9 +127,9 @@ class ConeWindow:
         if size == 0:
             return self._nowhere()
         if self._stages is not None:
-            found = self._stages.solve(mu, filter_gains(self.chain, self.nodes, mu), STAGED, enough, NEAR)
+            found = self._stages.solve(mu, filter_gains(self.system, self.nodes, mu), STAGED, enough, NEAR)
             if found.gap <= (NEAR if enough > 0 else STALLED):
-                q = self.chain.G.shape[1]
+                q = self.system.G.shape[1]
                 w = [u.reshape(-1, q) for u in found.u]
                 return _WindowPoint(found.z, w, list(found.gains), found.costates)
         if not self._built:
@@ -138,7 +138,7 @@ class ConeWindow:
 
     def _coned(self, mu: Array, size: float) -> _WindowPoint:
         """What the general solver finds."""
-        n, K, q = mu.size, len(self.nodes), self.chain.G.shape[1]
+        n, K, q = mu.size, len(self.nodes), self.system.G.shape[1]
         cost = np.zeros(int(self._w_at[-1]))
         cost[(K - 1) * n : K * n] = -mu
         x, y, status = self._solver.solve(cost, self._b)
@@ -152,8 +152,8 @@ class ConeWindow:
 
     def _nowhere(self) -> _WindowPoint:
         nothing, K = self._nothing(), len(self.nodes)
-        gains = [np.zeros(len(self.chain.samples[j].H)) for j in self.nodes]
-        return _WindowPoint(nothing.z, list(nothing.w), gains, np.zeros((K - 1, self.chain.D.size)))
+        gains = [np.zeros(len(self.system.samples[j].H)) for j in self.nodes]
+        return _WindowPoint(nothing.z, list(nothing.w), gains, np.zeros((K - 1, self.system.D.size)))
 
     def gains(self, mu: Array, enough: float = 0.0) -> Gains:
         """Return the best gains for the target mu'z_K, with what they prove; good ones, if that is `enough`."""
@@ -165,15 +165,15 @@ class ConeWindow:
         return self.upper(mu, self._steadied(mu, point)), self._admissible(mu, point)
 
     def _nothing(self) -> Adversary:
-        chain = self.chain
-        w = tuple(np.zeros(chain.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
-        return Adversary(0.0, w, np.zeros((len(self.nodes), chain.D.size)))
+        system = self.system
+        w = tuple(np.zeros(system.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
+        return Adversary(0.0, w, np.zeros((len(self.nodes), system.D.size)))
 
     def _gains(self, y: Array) -> list[Array]:
         """Gains from the multipliers of the noise cones."""
         found = []
         for k, j in enumerate(self.nodes):
-            sample = self.chain.samples[j]
+            sample = self.system.samples[j]
             gains, noisy = np.zeros(len(sample.H)), int(np.sum(~sample.exact))
             if self._exact_at[k] >= 0:
                 gains[sample.exact] = y[self._exact_at[k] : self._exact_at[k] + len(gains) - noisy]
@@ -190,30 +190,30 @@ class ConeWindow:
 
         The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
         """
-        chain, raw, ahead = self.chain, point.gains, point.ahead
+        system, raw, ahead = self.system, point.gains, point.ahead
         gains: list[Array] = [np.zeros(0)] * len(raw)
         true, meant = mu, mu
         for k in range(len(raw) - 1, -1, -1):
-            sample = chain.samples[self.nodes[k]]
+            sample = system.samples[self.nodes[k]]
             gains[k] = raw[k] + sample.K.T @ (true - meant)
             if k:
-                F = chain.gap(self.nodes[k - 1]).F
+                F = system.gap(self.nodes[k - 1]).F
                 true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
-        return gains if self.start.rows >= mu.size else cleared(self.chain, self.nodes, self.start, mu, gains)
+        return gains if self.start.rows >= mu.size else cleared(self.system, self.nodes, self.start, mu, gains)
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
         """Return what any gains prove, for all real times."""
-        return evaluated(self.chain, self.nodes, self.start, mu, gains, self.data)
+        return evaluated(self.system, self.nodes, self.start, mu, gains, self.data)
 
     def _admissible(self, mu: Array, point: _WindowPoint) -> Adversary:
-        """The solver's disturbance, flown from its start (0 unless that is a set) and scaled until admissible."""
-        chain, n, K = self.chain, mu.size, len(self.nodes)
+        """The solver's disturbance, simulated from its start (0 unless that is a set) and scaled until admissible."""
+        system, n, K = self.system, mu.size, len(self.nodes)
         best = self._nothing()
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
             z[0] = self._first(point.z[0])
             for k, j in enumerate(self.nodes[:-1]):
-                gap, q, u = chain.gap(j), chain.G.shape[1], point.w[k]
+                gap, q, u = system.gap(j), system.G.shape[1], point.w[k]
                 z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
                 if corrected:
                     flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
@@ -231,29 +231,29 @@ class ConeWindow:
 
     def _first(self, z: Array) -> Array:
         """The state of an adversary at the first sample, from a solver's: admissible before it, but for its size."""
-        chain, at = self.chain, self.nodes[0]
+        system, at = self.system, self.nodes[0]
         if isinstance(self.start, StartSet):
-            return chain.admissible_start(z)
-        if not self.start.reach.any() or chain.undriven is None:
+            return system.admissible_start(z)
+        if not self.start.reach.any() or system.free_responses is None:
             return np.zeros_like(z)
-        x = chain.undriven.nearest(chain.D * (chain.L[at] @ z))
-        return np.asarray(np.linalg.solve(chain.L[at], x / chain.D))
+        x = system.free_responses.nearest(system.D * (system.L[at] @ z))
+        return np.asarray(np.linalg.solve(system.L[at], x / system.D))
 
     def _excess(self, z: Array, w: list[Array]) -> float:
         """Least factor by which bounds must grow for this trajectory, at least 1."""
-        chain, factor = self.chain, 1.0
+        system, factor = self.system, 1.0
         if isinstance(self.start, StartSet):
             factor = max(factor, self.start.excess(z[0]))
-        elif z[0].any() and chain.undriven is not None:
-            factor = max(factor, chain.undriven.excess(chain.D * (chain.L[self.nodes[0]] @ z[0])))
+        elif z[0].any() and system.free_responses is not None:
+            factor = max(factor, system.free_responses.excess(system.D * (system.L[self.nodes[0]] @ z[0])))
         for u in w:
-            size = np.linalg.norm(u, axis=1) if chain.bounds.w_ball else np.abs(u)
+            size = np.linalg.norm(u, axis=1) if system.bounds.w_ball else np.abs(u)
             factor = max(factor, float(np.max(size, initial=0.0)))
         for k, j in enumerate(self.nodes):
-            sample = chain.samples[j]
+            sample = system.samples[j]
             y = np.abs(sample.H @ z[k])
             noisy = y[~sample.exact]
-            if chain.bounds.v_ball and noisy.size:
+            if system.bounds.v_ball and noisy.size:
                 factor = max(factor, float(np.linalg.norm(noisy)))
             factor = max(
                 factor, float(np.max(noisy, initial=0.0)), float(np.max(y[sample.exact], initial=0.0)) / EXACTLY

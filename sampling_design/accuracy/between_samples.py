@@ -1,7 +1,7 @@
 """Between samples: rho(c; t_i + d) = rho(Phi(d)'c; t_i) + int_0^d h_W(G'Phi(s)'c) ds, for all real d.
 
-rho(.; t_i) is a norm, and Phi(d)'c is bounded on a grid of offsets by atoms. On a panel it lies on the chord of its
-ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm atoms bound too.
+rho(.; t_i) is a norm, and Phi(d)'c is bounded on a grid of offsets by directions. On a panel it lies on the chord of
+its ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm directions bound too.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.numerics.linalg import expm_batch, forced_flow
 from sampling_design.records.arrays import Array
 
@@ -32,12 +32,12 @@ class RowBetweenSamples:
     below: Array
     slope: Array  # (N,): on each panel, a bound on |d/ds h_W(G'Phi(s)'c)|
 
-    def bound(self, atoms: BoundedDirections) -> tuple[Array, Array]:
+    def bound(self, directions: BoundedDirections) -> tuple[Array, Array]:
         """Return bounds on rho at the nodes (N+1,) and all along the panels (N,)."""
         h = float(self.d[-1] - self.d[0]) / (self.d.size - 1)
-        nodes = atoms.bound(self.mu) + self.above
-        turn = atoms.bound(self.bend)
-        drift = self.third @ np.abs(atoms.basis) @ atoms.reach
+        nodes = directions.bound(self.mu) + self.above
+        turn = directions.bound(self.bend)
+        drift = self.third @ np.abs(directions.basis) @ directions.reach
         if h == 0:  # a schedule that ends with a sample
             return nodes, np.maximum(nodes[1:], nodes[:-1])
         sag = h * h / 8 * (np.maximum(turn[1:], turn[:-1]) + h / 2 * drift + self.slope)
@@ -57,7 +57,7 @@ KnownIntegrals: TypeAlias = dict[tuple[float, float], Integrals]
 
 
 def open_row(
-    chain: SampleChain,
+    system: SampledSystem,
     j: int,
     row: Array,
     until: float | None = None,
@@ -68,20 +68,20 @@ def open_row(
 
     `known` keeps what is the same for this row after all samples with gaps of one length; `least` panels at least.
     """
-    begin, end = chain.judged[j][2:] if until is None else (0.0, until)
+    begin, end = system.judged[j][2:] if until is None else (0.0, until)
     known = {} if known is None else known
-    d = _grid(speed_of(chain), begin, end, least)
+    d = _grid(speed_of(system), begin, end, least)
     if (begin, end) not in known:
-        known[begin, end] = _open_integrals(chain, d, row)
-    A, (above, below, flown, middle, slope) = chain.A, known[begin, end]
-    L = chain.L[j]
+        known[begin, end] = _open_integrals(system, d, row)
+    A, (above, below, propagated, middle, slope) = system.A, known[begin, end]
+    L = system.L[j]
     third = middle[:, None] * np.linalg.norm(L, axis=0)
-    return RowBetweenSamples(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
+    return RowBetweenSamples(d, propagated @ L, propagated @ (A @ A) @ L, third, above, below, slope)
 
 
-def speed_of(chain: SampleChain) -> float:
-    """As fast as which the panels of a chain's gaps take its plant to be."""
-    return float(np.linalg.norm(chain.A, 2)) if chain.speed is None else chain.speed
+def speed_of(system: SampledSystem) -> float:
+    """As fast as which the panels of a system's gaps take its plant to be."""
+    return float(np.linalg.norm(system.A, 2)) if system.speed is None else system.speed
 
 
 def _grid(speed: float, begin: float, end: float, least: int = GRID[0]) -> Array:
@@ -89,20 +89,20 @@ def _grid(speed: float, begin: float, end: float, least: int = GRID[0]) -> Array
     return np.linspace(begin, end, (number if end > begin else 1) + 1)
 
 
-def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
+def _open_integrals(system: SampledSystem, d: Array, row: Array) -> Integrals:
     """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds per panel.
 
     The bounds are those on |c'Phi A^3| and on the slope of h_W.
     """
-    A, G, n = chain.A, chain.G, chain.D.size
+    A, G, n = system.A, system.G, system.D.size
     step = float(d[-1] - d[0]) / (d.size - 1)
-    flown = (row * chain.D) @ expm_batch(A, d)
-    p, first, bend = flown @ G, flown @ (A @ G), flown @ (A @ A @ G)
-    turned = (row * chain.D) @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A)
+    propagated = (row * system.D) @ expm_batch(A, d)
+    p, first, bend = propagated @ G, propagated @ (A @ G), propagated @ (A @ A @ G)
+    turned = (row * system.D) @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A)
     middle = np.linalg.norm(turned, axis=1) * np.exp(float(np.linalg.norm(A, 2)) * step / 2)
     third = middle * np.linalg.norm(G, 2)
-    mean = flown[:-1] @ forced_flow(A, G, [step])[0, :, n:]
-    if chain.bounds.w_ball:
+    mean = propagated[:-1] @ forced_flow(A, G, [step])[0, :, n:]
+    if system.bounds.w_ball:
         value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
         curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third
         tilt = np.linalg.norm(first, axis=1)
@@ -112,7 +112,7 @@ def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
         tilt = np.abs(first).sum(axis=1)
     most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
     slope = np.maximum(tilt[1:], tilt[:-1]) + step / 2 * curve
-    before = _grid(speed_of(chain), 0.0, float(d[0]))
-    until = [np.zeros(1)] * 2 if d[0] == 0 else _open_integrals(chain, before, row)[:2]
+    before = _grid(speed_of(system), 0.0, float(d[0]))
+    until = [np.zeros(1)] * 2 if d[0] == 0 else _open_integrals(system, before, row)[:2]
     sums = (first[-1] + np.append(0.0, np.cumsum(x)) for first, x in zip(until, (most, least), strict=True))
-    return (*sums, flown, middle, np.asarray(slope))
+    return (*sums, propagated, middle, np.asarray(slope))

@@ -1,8 +1,8 @@
 """Directions at one sample that gains have bounded, and what they bound of every other direction.
 
 rho(.; t_j) is a norm: if mu = a mu_1 + b mu_2 + rest, then rho(mu) <= |a| rho(mu_1) + |b| rho(mu_2) + rho(rest), and
-the filter's reach bounds the last. A row turns between samples, and other rows turn through the same directions: atoms
-serve them all.
+the filter's reach bounds the last. A row turns between samples, and other rows turn through the same ones: they
+serve all.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from sampling_design.accuracy.start import NOTHING
 from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-12  # two directions are one if their cosine, in units of the reach, is 1 within this
-PARTNERS = 4  # atoms tried beside the nearest one
+PARTNERS = 4  # directions tried beside the nearest one
 NEIGHBOURS = (64, 16, 4, 1)  # how far away, on both sides, the neighbours are whose pairs a target tries
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionFit:
-    """Targets as combinations of two atoms: mu[t] = sum_k share[t, k] atom[place[t, k]] + rest."""
+    """Targets as combinations of two directions: mu[t] = sum_k share[t, k] direction[place[t, k]] + rest."""
 
     place: Index
     share: Array
@@ -57,11 +57,11 @@ class BoundedDirections:
 
     @property
     def values(self) -> Array:
-        """Bounds on rho of the atoms."""
+        """Bounds on rho of the directions."""
         return np.array([gains.value for gains in self.gains])
 
     def find(self, mu: Array) -> int | None:
-        """The place of a direction among the atoms."""
+        """The place of a direction among those that are bounded."""
         if not self.gains:
             return None
         unit, known = (self._units(x) for x in (mu[None], self.mu))
@@ -97,27 +97,27 @@ class BoundedDirections:
         return np.asarray(scaled / np.where(size > 0, size, 1.0))
 
     def fit(self, targets: Array) -> DirectionFit:
-        """Return each target as a share of one atom, or of the best pair of near ones on both sides of it.
+        """Return each target as a share of one direction, or of the best pair of near ones on both sides of it.
 
         Targets come along a curve as a rule: what serves a neighbour may serve a target.
         """
-        count, atoms = len(targets), len(self.gains)
-        if not atoms:
+        count, directions = len(targets), len(self.gains)
+        if not directions:
             return DirectionFit(np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0)))
-        seen = [x @ self.basis * self.reach for x in (targets, self.mu)]
-        lengths = [np.linalg.norm(x, axis=1) for x in seen]
+        scaled = [x @ self.basis * self.reach for x in (targets, self.mu)]
+        lengths = [np.linalg.norm(x, axis=1) for x in scaled]
         unit = np.where(lengths[1] > 0, lengths[1], 1.0)
-        T, U = seen[0] / np.where(lengths[0] > 0, lengths[0], 1.0)[:, None], seen[1] / unit[:, None]
+        T, U = scaled[0] / np.where(lengths[0] > 0, lengths[0], 1.0)[:, None], scaled[1] / unit[:, None]
         near, rows, cosines = T @ U.T, np.arange(count), U @ U.T
         size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
         rest = np.sqrt(np.maximum(1 - near**2, 0.0))
         alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
         best = DirectionFit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
         best = DirectionFit(best.place, best.share * lengths[0][:, None] / unit[best.place])
-        if atoms == 1:
+        if directions == 1:
             return best
         value, bounded = self.judged(targets, best), self.values
-        X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in seen)
+        X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in scaled)
 
         def tried(first: Index, second: Index) -> None:
             """Take pairs (k, t) and (k, t), k of them for each target, where they bound it better."""
@@ -170,11 +170,11 @@ class BoundedDirections:
 
     def rest(self, rest: Array, targets: Array) -> Array:
         """Return what the reach bounds of the rests of targets: nothing of them may lie outside the basis."""
-        seen = rest @ self.basis
+        scaled = rest @ self.basis
         endless = ~np.isfinite(self.reach)
-        found = np.abs(seen) @ np.where(endless, 0.0, self.reach)
+        found = np.abs(scaled) @ np.where(endless, 0.0, self.reach)
         if endless.any():
-            found = np.where(np.any(seen[..., endless] != 0, axis=-1), np.inf, found)
+            found = np.where(np.any(scaled[..., endless] != 0, axis=-1), np.inf, found)
         if self.whole:
             return np.asarray(found)
         return np.where(self.determines(rest, targets), found, np.inf)

@@ -197,11 +197,11 @@ class _Curves:
 
     def __init__(self, question: AccuracyQuestion, plant: Plant, W: Array, moving: Array | None):
         self.question = question
-        chain, atoms = question.filter_bounds(plant, moving)
-        self.D, self.A, self._L, self._atoms, self._r = chain.D, chain.A, chain.L, atoms, chain.determined
+        system, directions = question.filter_bounds(plant, moving)
+        self.D, self.A, self._L, self._directions, self._r = system.D, system.A, system.L, directions, system.determined
         G = plant.G / self.D[:, None]
         self._noise = symmetrise(G @ W @ G.T)
-        rows = [plant.C[s.outputs] * self.D / s.size[:, None] for s in chain.samples]
+        rows = [plant.C[s.outputs] * self.D / s.size[:, None] for s in system.samples]
         self._roots = self._endless(rows) if question.initial is None else self._finite(rows)
 
     def _flows(self, lengths: Array) -> list[tuple[Array, Array]]:
@@ -218,8 +218,8 @@ class _Curves:
             noise = np.linalg.solve(following, noise.T)
             maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
         P = strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK)
-        seen = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
-        rooted = RootedPeriod([m.F for m in maps], seen, [covariance_root(m.Q) for m in maps])
+        outputs = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
+        rooted = RootedPeriod([m.F for m in maps], outputs, [covariance_root(m.Q) for m in maps])
         root = psd_root(P)
         roots = rooted(root)[0] if rooted.gives_back(root) else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
@@ -230,7 +230,7 @@ class _Curves:
         F, noise = [F for F, _ in flows], [covariance_root(W) for _, W in flows]
         path = RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])
         start = np.eye(n) * np.sqrt(DIFFUSE)
-        widest = [path(start * size)[0] for size in WIDEST] if not all(a.whole for a in self._atoms) else []
+        widest = [path(start * size)[0] for size in WIDEST] if not all(a.whole for a in self._directions) else []
         free = [self._sizes(roots, False) for roots in widest]
         roots = path(start)[0]
         for size in WIDER:
@@ -246,8 +246,8 @@ class _Curves:
     def _sizes(self, roots: list[Array], observable: bool = True) -> Array:
         """Standard deviations at the nodes of what the samples determine, or of what they do not."""
         found = []
-        for atoms, L, root in zip(self._atoms, self._L, roots, strict=True):
-            r, whole = atoms.basis.shape[1], np.linalg.svd(atoms.basis)[0]
+        for directions, L, root in zip(self._directions, self._L, roots, strict=True):
+            r, whole = directions.basis.shape[1], np.linalg.svd(directions.basis)[0]
             chosen = whole[:, :r] if observable else whole[:, r:]
             found.append(np.linalg.norm(chosen.T @ np.linalg.solve(L, root), axis=1))
         return np.concatenate(found)
@@ -255,15 +255,15 @@ class _Curves:
     def variance(self, j: int, offsets: Array, row: Array) -> Array:
         """c'P(t_j + d)c for offsets d; infinite where the samples do not determine the row."""
         F, W = discounted_flow(self.A, self._noise, offsets)
-        flown = (row * self.D) @ F
-        found = np.sum((flown @ self._roots[j]) ** 2, axis=1) + np.maximum(
+        propagated = (row * self.D) @ F
+        found = np.sum((propagated @ self._roots[j]) ** 2, axis=1) + np.maximum(
             np.einsum("i,kij,j->k", row * self.D, W, row * self.D), 0
         )
-        mu = flown @ self._L[j]
-        atoms = self._atoms[j]
+        mu = propagated @ self._L[j]
+        directions = self._directions[j]
         if self.question.initial is None:
-            return np.where(np.isfinite(atoms.rest(mu, mu)), found, np.inf)
-        return np.where(atoms.determines(mu), found, np.inf)
+            return np.where(np.isfinite(directions.rest(mu, mu)), found, np.inf)
+        return np.where(directions.determines(mu), found, np.inf)
 
     def worst(self, parts: list[Array], offsets: list[Array], row: Array) -> tuple[float, float]:
         """The largest standard deviation and its time, refined between the points of the profile."""

@@ -1,4 +1,4 @@
-"""A finite schedule as a chain of samples that begins with a set of errors, and what its samples determine."""
+"""A finite schedule as a sampled system that begins with a set of errors, and what its samples determine."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gains import filtered_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
-from sampling_design.accuracy.sample_chain import (
-    ChainSample,
-    SampleChain,
+from sampling_design.accuracy.sampled_system import (
+    MeasurementModel,
+    SampledSystem,
     make_gap,
     noise_units,
     refuse_growth,
@@ -41,8 +41,8 @@ LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
 BEYOND = 1e3  # a state's scale is at most so many times what is known of it at the start
 
 
-def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampleChain:
-    """Return the chain of nodes `times`, the first of which is the start; rows of `bounds.v` say what each measures."""
+def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampledSystem:
+    """Return the system of nodes `times`, the first of which is the start; rows of `bounds.v` say what is measured."""
     lengths, last = np.diff(times), float(end - times[-1])
     refuse_growth(plant, lengths, last)
     steps = np.append(lengths, last) if last or not lengths.size else lengths
@@ -63,13 +63,13 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         K, P = update_with_gain(P, H)[1], information_update(P, H.T @ H)
         roots.append(covariance_root(P))
         K = np.asarray(np.linalg.solve(roots[j], K))
-        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
+        samples.append(MeasurementModel(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
         P = propagate(P, F[j], W[j]) if j < len(lengths) else P
     L = np.array(roots)
     table = GapTable(A, G, np.ones(len(A)))
     gaps = tuple(make_gap(table, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
-    return SampleChain(
+    return SampledSystem(
         plant=plant,
         bounds=bounds,
         D=D,
@@ -119,37 +119,37 @@ def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Ar
     return np.asarray(np.linalg.inv(information))
 
 
-def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[BoundedDirections]:
+def finite_directions(system: SampledSystem, given: Sequence[Array] = ()) -> list[BoundedDirections]:
     """What the samples up to each node determine, with bounds from the filter's gains.
 
     `given` are bounds on |z| after the first samples, where something else bounds all of it there.
     """
-    start = chain.start
+    start = system.start
     assert start is not None
-    n = chain.D.size
+    n = system.D.size
     free = start.free(n)
     observed: list[Array] = []
     found: list[BoundedDirections] = []
     known: list[Array | None] = []
-    for j in range(len(chain)):
-        free = chain.gaps[j - 1].F @ free if j else free
-        observed.append(chain.samples[j].H @ free)
+    for j in range(len(system)):
+        free = system.gaps[j - 1].F @ free if j else free
+        observed.append(system.samples[j].H @ free)
         basis = _determined(free, observed)
-        reach = given[j] if j < len(given) else filtered_bounds(chain, j, start, known, basis)
+        reach = given[j] if j < len(given) else filtered_bounds(system, j, start, known, basis)
         found.append(BoundedDirections(basis, reach))
         known.append(found[j].reach if j and basis.shape[1] == n else None)
     return found
 
 
-def determined_at(chain: SampleChain, path: list[int]) -> Array:
+def determined_at(system: SampledSystem, path: list[int]) -> Array:
     """Orthonormal columns that span what the samples of a path from the start determine at its last node."""
-    assert chain.start is not None
-    free, observed = chain.start.free(chain.D.size), list[Array]()
+    assert system.start is not None
+    free, observed = system.start.free(system.D.size), list[Array]()
     if not free.shape[1]:
         return np.eye(len(free))
     for k, node in enumerate(path):
-        free = chain.gap(path[k - 1]).F @ free if k else free
-        observed.append(chain.samples[node].H @ free)
+        free = system.gap(path[k - 1]).F @ free if k else free
+        observed.append(system.samples[node].H @ free)
     return _determined(free, observed)
 
 
@@ -164,11 +164,11 @@ def _determined(free: Array, observed: list[Array]) -> Array:
         return np.eye(n)
     rows = np.vstack(observed)
     rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
-    shown = np.linalg.norm(rows, axis=0)
+    norms = np.linalg.norm(rows, axis=0)
     sizes, right = _strengths(rows)
     open_ = sizes <= UNSEEN * max(1.0, float(sizes[0]))
     # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
-    alike = _strengths(rows / np.where(shown > 0, shown, 1.0))[0]
+    alike = _strengths(rows / np.where(norms > 0, norms, 1.0))[0]
     if np.count_nonzero(alike <= UNSEEN * max(1.0, float(alike[0]))) < np.count_nonzero(open_):
         raise _faded()
     if not open_.any():

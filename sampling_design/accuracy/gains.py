@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_cost
+from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, noise_cost
 from sampling_design.accuracy.start import ErrorBefore, StartSet
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
@@ -27,7 +27,7 @@ class Gains:
 
 
 def evaluated(
-    chain: SampleChain,
+    system: SampledSystem,
     nodes: list[int],
     start: ErrorBefore,
     mu: Array,
@@ -35,17 +35,17 @@ def evaluated(
     data: list[Array] | None = None,
 ) -> Gains:
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
-    cost, g, scale, _ = followed_back(chain, nodes, mu[:, None], lambda k, _: gains[k][:, None])
+    cost, g, scale, _ = followed_back(system, nodes, mu[:, None], lambda k, _: gains[k][:, None])
     total = float(cost[0])
     total += start.support(g[:, 0], float(scale[0]))
     if data is not None:
-        shown = [float(lam @ y) for lam, y in zip(gains, data, strict=True)]
-        return Gains(sum(shown) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(shown).sum()), tuple(gains))
+        values = [float(lam @ y) for lam, y in zip(gains, data, strict=True)]
+        return Gains(sum(values) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(values).sum()), tuple(gains))
     return Gains(total * (1 + ROUNDING), tuple(gains))
 
 
 def followed_back(
-    chain: SampleChain,
+    system: SampledSystem,
     nodes: list[int],
     mu: Array,
     gains_at: Callable[[int, Array], Array],
@@ -57,99 +57,101 @@ def followed_back(
     bounds on |z| after the samples before, the one at which so little was left that it went no farther back.
     """
     total, g, scale, reach = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0), None
-    flown: dict[int, tuple[ChainGap, list[Array]]] = {}  # a chain may hold a gap many times: one integral for all
+    propagated: dict[
+        int, tuple[GapDynamics, list[Array]]
+    ] = {}  # a system may hold a gap many times: one integral for all
     for k in range(len(nodes) - 1, -1, -1):
-        sample, lam = chain.samples[nodes[k]], gains_at(k, g)
-        total += noise_cost(lam, sample.exact, chain.bounds.v_ball)
+        sample, lam = system.samples[nodes[k]], gains_at(k, g)
+        total += noise_cost(lam, sample.exact, system.bounds.v_ball)
         step = sample.H.T @ lam
         scale += np.linalg.norm(step, axis=0)
         g = g - step
         if k:
-            gap = chain.gap(nodes[k - 1])
-            flown.setdefault(id(gap), (gap, []))[1].append(g)
+            gap = system.gap(nodes[k - 1])
+            propagated.setdefault(id(gap), (gap, []))[1].append(g)
             g = gap.F.T @ g
             if known is not None and np.abs(g).sum(axis=0).max(initial=0.0) <= LEFT:
                 reach = known(k - 1)
                 if reach is not None:
                     break
-    for gap, columns in flown.values():
-        every = gap.panels.integral(np.hstack(columns), chain.bounds.w_ball)
+    for gap, columns in propagated.values():
+        every = gap.panels.integral(np.hstack(columns), system.bounds.w_ball)
         total = total + every.reshape(len(columns), -1).sum(axis=0)
     return total, g, scale, reach
 
 
-def filter_gains(chain: SampleChain, nodes: list[int], mu: Array) -> list[Array]:
+def filter_gains(system: SampledSystem, nodes: list[int], mu: Array) -> list[Array]:
     """Return the filter's gains for mu'z_K, as they are."""
     gains, g = [np.zeros(0)] * len(nodes), mu
     for k in range(len(nodes) - 1, -1, -1):
-        sample = chain.samples[nodes[k]]
+        sample = system.samples[nodes[k]]
         gains[k] = sample.K.T @ g
         if k:
-            g = chain.gap(nodes[k - 1]).F.T @ (g - sample.H.T @ gains[k])
+            g = system.gap(nodes[k - 1]).F.T @ (g - sample.H.T @ gains[k])
     return gains
 
 
-def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Array | None], mu: Array) -> Array:
-    """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a chain with a start.
+def filtered_bounds(system: SampledSystem, j: int, start: StartSet, known: list[Array | None], mu: Array) -> Array:
+    """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a system with a start.
 
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
     """
-    return path_bounds(chain, chain.nodes(j, len(chain)), start, known.__getitem__, mu)
+    return path_bounds(system, system.nodes(j, len(system)), start, known.__getitem__, mu)
 
 
 def path_bounds(
-    chain: SampleChain, nodes: list[int], start: StartSet, known: Callable[[int], Array | None], mu: Array
+    system: SampledSystem, nodes: list[int], start: StartSet, known: Callable[[int], Array | None], mu: Array
 ) -> Array:
     """Return the same of mu'z at the last of some nodes that begin at the start."""
-    total, g, scale, reach = followed_back(chain, nodes, mu, lambda k, g: chain.samples[nodes[k]].K.T @ g, known)
+    total, g, scale, reach = followed_back(system, nodes, mu, lambda k, g: system.samples[nodes[k]].K.T @ g, known)
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
     if start.rows < len(mu):  # what is free at the start must not be touched
-        corrected = [cleared(chain, nodes, start, column, filter_gains(chain, nodes, column)) for column in mu.T]
-        return np.array([evaluated(chain, nodes, start, *each).value for each in zip(mu.T, corrected, strict=True)])
+        corrected = [cleared(system, nodes, start, column, filter_gains(system, nodes, column)) for column in mu.T]
+        return np.array([evaluated(system, nodes, start, *each).value for each in zip(mu.T, corrected, strict=True)])
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
 
 
-def cleared(chain: SampleChain, nodes: list[int], start: ErrorBefore, mu: Array, gains: list[Array]) -> list[Array]:
+def cleared(system: SampledSystem, nodes: list[int], start: ErrorBefore, mu: Array, gains: list[Array]) -> list[Array]:
     """Return gains, changed as little as can be so that nothing is left of what is free at the start."""
     free = start.free(mu.size)
-    seen, flow = [], free
+    outputs, flow = [], free
     for k, j in enumerate(nodes):
-        flow = chain.gap(nodes[k - 1]).F @ flow if k else flow
-        seen.append(chain.samples[j].H @ flow)
-    rows, ends = np.vstack(seen), np.cumsum([len(H) for H in seen])[:-1]
+        flow = system.gap(nodes[k - 1]).F @ flow if k else flow
+        outputs.append(system.samples[j].H @ flow)
+    rows, ends = np.vstack(outputs), np.cumsum([len(H) for H in outputs])[:-1]
     for _ in range(2):
         rest = mu
         for k in range(len(gains) - 1, -1, -1):
-            rest = rest - chain.samples[nodes[k]].H.T @ gains[k]
-            rest = chain.gap(nodes[k - 1]).F.T @ rest if k else rest
+            rest = rest - system.samples[nodes[k]].H.T @ gains[k]
+            rest = system.gap(nodes[k - 1]).F.T @ rest if k else rest
         change = np.linalg.lstsq(rows.T, free.T @ rest)[0]
         gains = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
     return gains
 
 
-def centre_offset(chain: SampleChain, row: Array, j: int, d: float, gains: tuple[Array, ...]) -> float:
+def centre_offset(system: SampledSystem, row: Array, j: int, d: float, gains: tuple[Array, ...]) -> float:
     """Return what an estimate of row'x at d after sample j adds to its data since bounds are not centred at 0.
 
     The nominal state under the centres of the bounds, less the gains' share of what it would show, from gains and flow
     backwards: int g'G w_c - sum lambda'v_c.
     """
-    bounds, n = chain.bounds, chain.D.size
+    bounds, n = system.bounds, system.D.size
     if bounds.w_centre is None and bounds.v_centre is None:
         return 0.0
-    force = np.zeros(n) if bounds.w_centre is None else chain.plant.G @ bounds.w_centre / chain.D
-    flows = forced_flow(chain.A, force[:, None], [d, *(gap.length for gap in chain.gaps)])
-    total = float(row * chain.D @ flows[0, :, n])
-    g = row * chain.D @ flows[0, :, :n]
-    nodes = chain.latest(j, len(gains))
+    force = np.zeros(n) if bounds.w_centre is None else system.plant.G @ bounds.w_centre / system.D
+    flows = forced_flow(system.A, force[:, None], [d, *(gap.length for gap in system.gaps)])
+    total = float(row * system.D @ flows[0, :, n])
+    g = row * system.D @ flows[0, :, :n]
+    nodes = system.latest(j, len(gains))
     for k in range(len(nodes) - 1, -1, -1):
-        sample, lam = chain.samples[nodes[k]], gains[k - len(nodes)]
+        sample, lam = system.samples[nodes[k]], gains[k - len(nodes)]
         if bounds.v_centre is not None:
-            total -= float(lam @ (bounds.v_centre[chain.sample_of(nodes[k]), sample.outputs] / sample.size))
-        g = g - np.linalg.solve(chain.L[nodes[k]].T, sample.H.T @ lam)
+            total -= float(lam @ (bounds.v_centre[system.sample_of(nodes[k]), sample.outputs] / sample.size))
+        g = g - np.linalg.solve(system.L[nodes[k]].T, sample.H.T @ lam)
         if k:
-            flow = flows[1 + chain.sample_of(nodes[k - 1])]
+            flow = flows[1 + system.sample_of(nodes[k - 1])]
             total += float(g @ flow[:, n])
             g = g @ flow[:, :n]
     return total

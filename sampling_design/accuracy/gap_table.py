@@ -31,12 +31,12 @@ GROWN = 1e70  # growth over a period beyond which sizes are not followed: its sq
 
 
 @dataclass(frozen=True, eq=False)
-class FlownGap:
+class PropagatedGap:
     """One gap; s runs back from its end."""
 
     F: Array  # (n, n)
     step: float  # length of a panel
-    flown: Array  # flown, bend, (N+1, n, q): e^{As}G and e^{As}A^2G at the ends of the panels
+    propagated: Array  # propagated, bend, (N+1, n, q): e^{As}G and e^{As}A^2G at the ends of the panels
     bend: Array
     third: Array  # (N,): on each panel a bound on |e^{As}A^3G|
     pieces: Array  # (N, n, q): int e^{As}G ds over the panels
@@ -68,22 +68,24 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
     Of what neither does: what is seen of it in later periods, or what others bring into it.
     """
     n = F.shape[1]
-    flow, seen, later, spread = np.eye(n), np.zeros(n), np.zeros(n), np.zeros((n, n))
+    flow, observed, later, covariance = np.eye(n), np.zeros(n), np.zeros(n), np.zeros((n, n))
     for period in range(n):
         for H, step, reached in zip(rows, F, W, strict=True):
-            shown = np.sum((H @ flow) ** 2, axis=0)
-            seen, later = (seen, later + shown) if period else (seen + shown, later)
-            if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
+            energy = np.sum((H @ flow) ** 2, axis=0)
+            observed, later = (observed, later + energy) if period else (observed + energy, later)
+            if max(np.abs(flow).max(), np.sqrt(np.abs(covariance).max())) * max(np.abs(step).max(), 1.0) > GROWN:
                 break  # what has grown so far says nothing more of sizes, and would overflow
             flow = step @ flow
-            spread = spread if period else propagate(spread, step, reached)
-        reach = np.sqrt(np.diag(spread))
-        if not period and np.all((reach > 0) | (seen > 0)):
+            covariance = covariance if period else propagate(covariance, step, reached)
+        reach = np.sqrt(np.diag(covariance))
+        if not period and np.all((reach > 0) | (observed > 0)):
             break
-    seen = np.sqrt(np.where((reach > 0) | (seen > 0), seen, later))
+    observed = np.sqrt(np.where((reach > 0) | (observed > 0), observed, later))
     with np.errstate(divide="ignore", invalid="ignore"):
-        both = np.sqrt(reach / seen)
-    D = np.where((reach > 0) & (seen > 0), both, np.where(seen > 0, 1 / np.where(seen > 0, seen, 1), reach))
+        both = np.sqrt(reach / observed)
+    D = np.where(
+        (reach > 0) & (observed > 0), both, np.where(observed > 0, 1 / np.where(observed > 0, observed, 1), reach)
+    )
     for _ in range(n):
         D = np.where(D > 0, D, np.abs(F).max(axis=0, initial=0.0) @ D)
     return np.asarray(np.where(D > 0, D, 1.0))
@@ -98,8 +100,8 @@ class GapTable:
         self._size = float(np.linalg.norm(self.A, 2)) if n else 0.0
         self._second = self.A @ (self.A @ self.G)
         self._third = self.A @ self._second
-        self._known: dict[float, FlownGap] = {}
-        self._open: tuple[float, FlownGap] | None = None
+        self._known: dict[float, PropagatedGap] = {}
+        self._open: tuple[float, PropagatedGap] | None = None
 
     @classmethod
     def suited(cls, A: Array, G: Array, lengths: Array, rows: list[Array]) -> GapTable:
@@ -116,7 +118,7 @@ class GapTable:
         D = state_scales(F, W * float(np.mean(lengths)), [H * balance for H in rows])
         return cls(A, G, balance * D)
 
-    def open(self, length: float) -> FlownGap:
+    def open(self, length: float) -> PropagatedGap:
         """Return the gap after the last sample."""
         if self._open is None or self._open[0] != length:
             number = min(int(self._number(np.array([length]))[0]) * FINER, PANELS[1])
@@ -124,7 +126,7 @@ class GapTable:
                 self._open = length, self._make_alike(np.array([length]), number)[length]
         return self._open[1]
 
-    def get(self, lengths: Sequence[float]) -> list[FlownGap]:
+    def get(self, lengths: Sequence[float]) -> list[PropagatedGap]:
         """Return the gaps of these lengths."""
         missing = [h for h in dict.fromkeys(lengths) if h not in self._known]
         if missing:
@@ -135,7 +137,7 @@ class GapTable:
                 self._make(np.array(missing))
         return [self._known[h] for h in lengths]
 
-    def cut(self, length: float, panel: float) -> FlownGap:
+    def cut(self, length: float, panel: float) -> PropagatedGap:
         """Return one gap, whose panels times |A| are at most so long; all that are asked for so have one size."""
         if length not in self._known:
             number = int(np.clip(np.ceil(self._size * length / panel), *PANELS))
@@ -153,7 +155,7 @@ class GapTable:
         wanted = np.clip(np.ceil(self._size * lengths / PANEL), *PANELS)
         return np.asarray(np.exp2(np.ceil(np.log2(wanted))), dtype=np.intp)
 
-    def _make_alike(self, lengths: Array, number: int, order: int | None = None) -> dict[float, FlownGap]:
+    def _make_alike(self, lengths: Array, number: int, order: int | None = None) -> dict[float, PropagatedGap]:
         """Gaps with equally many panels; norms of order 2 are the sharpest, those of Frobenius are quicker."""
         n, step = len(self.A), lengths / number
         first = forced_flow(self.A, self.G, step)
@@ -164,19 +166,19 @@ class GapTable:
             more = min(known, number - known)
             np.matmul(E[:, known, None], E[:, 1 : more + 1], out=E[:, known + 1 : known + more + 1])
             known += more
-        flown, bend = E @ self.G, E @ self._second
+        propagated, bend = E @ self.G, E @ self._second
         middle = expm_batch(self.A, step / 2) @ self._third
         third = np.linalg.norm(E[:, :-1] @ middle[:, None], order, (2, 3)) * np.exp(self._size * step / 2)[:, None]
         inner = E[:, :-1] @ first[:, None, :, n:]
-        marks = self._marks(flown, bend, step)
+        marks = self._marks(propagated, bend, step)
         return {
-            h: FlownGap(E[k, -1].copy(), float(step[k]), flown[k], bend[k], third[k], inner[k], marks[k])
+            h: PropagatedGap(E[k, -1].copy(), float(step[k]), propagated[k], bend[k], third[k], inner[k], marks[k])
             for k, h in enumerate(lengths.tolist())
         }
 
-    def _marks(self, flown: Array, bend: Array, step: Array) -> Array:
+    def _marks(self, propagated: Array, bend: Array, step: Array) -> Array:
         """Middles of panels, counted in cells so short that delta^2/24 |M''|/|M| <= LOSS."""
-        rate = cell_rate(flown, bend, LOSS)
+        rate = cell_rate(propagated, bend, LOSS)
         panels = (rate[:, 1:] + rate[:, :-1]) / 2 * step[:, None]
         total = panels.sum(axis=1, keepdims=True)
         fine = (total > 0) & np.isfinite(total)
@@ -187,7 +189,7 @@ class GapTable:
 class DisturbanceQuadrature:
     """Integrals of h_W(G'e^{A's}g) over many gaps at once: gaps with equally many panels are stacked."""
 
-    def __init__(self, gaps: Sequence[FlownGap]):
+    def __init__(self, gaps: Sequence[PropagatedGap]):
         counts = [gap.third.size for gap in gaps]
         self._groups = []
         for count in sorted(set(counts)):
@@ -208,8 +210,8 @@ class DisturbanceQuadrature:
 class _Stacked:
     """Gaps with equally many panels."""
 
-    def __init__(self, gaps: list[FlownGap]):
-        both = np.array([[gap.flown, gap.bend] for gap in gaps])  # (J, 2, panels + 1, n, q)
+    def __init__(self, gaps: list[PropagatedGap]):
+        both = np.array([[gap.propagated, gap.bend] for gap in gaps])  # (J, 2, panels + 1, n, q)
         self._shape = (len(gaps), 2, both.shape[2], both.shape[4])
         self._rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(gaps), -1, both.shape[3])
         self.third, self.step = np.array([gap.third for gap in gaps]), np.array([gap.step for gap in gaps])[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, DetectablePart, known_part
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
@@ -156,9 +156,9 @@ def accuracy_limit(
     -----
     *Assumptions.* Every schedule takes its samples at allowed times, noise and disturbance keep their bounds. *Claim.*
     `lower` is attained: the adversary reads zero whenever it may be looked at. An exact sensor gives 0. *Method.* The
-    adversary's program with nodes at steps that are halved; then the trajectory is flown exactly, |C x| bounded between
-    nodes by chords and the second derivative, and everything divided by the largest ratio to its bound. The exact limit
-    is at most `accuracy` of any one schedule.
+    adversary's program with nodes at steps that are halved; then the trajectory is simulated exactly, |C x| bounded
+    between nodes by chords and the second derivative, and everything divided by the largest ratio to its bound. The
+    exact limit is at most `accuracy` of any one schedule.
 
     References
     ----------
@@ -240,8 +240,8 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
     """A step over which the filter's fastest error shrinks by about a quarter."""
     step = _time_constant(plant)
     for _ in range(SCALINGS):
-        chain, _ = _question(plant, bounds, np.zeros(1), step).filter_bounds(plant)
-        sample, F = chain.samples[0], chain.gaps[0].F
+        system, _ = _question(plant, bounds, np.zeros(1), step).filter_bounds(plant)
+        sample, F = system.samples[0], system.gaps[0].F
         passed = F @ (np.eye(len(F)) - sample.K @ sample.H)
         fastest = float(np.min(np.abs(np.linalg.eigvals(passed))))
         if fastest < SETTLING[0]:
@@ -267,7 +267,7 @@ def _strongest(
             break
         question = _question(plant, bounds, nodes, span)
         found, factor = _adversary_in_gap(
-            ChainSearch(*question.filter_bounds(plant)), question, row, allowed, period, rtol
+            GainSearch(*question.filter_bounds(plant)), question, row, allowed, period, rtol
         )
         if found.trajectory is not None and (best.trajectory is None or found.trajectory.value > best.trajectory.value):
             best = found
@@ -278,11 +278,11 @@ def _strongest(
 
 
 def _adversary_in_gap(
-    search: ChainSearch, question: AccuracyQuestion, row: Array, allowed: Array | None, period: float, rtol: float
+    search: GainSearch, question: AccuracyQuestion, row: Array, allowed: Array | None, period: float, rtol: float
 ) -> tuple[LimitWitness, float]:
     """A witness that is admissible at all allowed real times, and by how much it had to shrink for it."""
     found = search.opened(row)
-    j = int(np.argmax([gap.length for gap in search.chain.gaps]))
+    j = int(np.argmax([gap.length for gap in search.system.gaps]))
     at, search.deep, before = 0, SHALLOW, 0.0
     if allowed is not None:
         last = found.opened[j].d.size - 1

@@ -13,8 +13,8 @@ from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import in_turn, strong
-from sampling_design.accuracy.sample_chain import SampleChain
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.sampled_system import SampledSystem
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.witness import AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
@@ -52,7 +52,7 @@ class BracketedRows(Protocol):
 
     @property
     def witnesses(self) -> tuple[AccuracyWitness | None, ...]:
-        """Motions: how far back they go."""
+        """Trajectories: how far back they go."""
 
 
 class ProjectionAreas(NamedTuple):
@@ -166,7 +166,7 @@ def project_rows(
         raise ArgumentError(f"`first` and `second` must be known, got {first!r} and {second!r}.")
     at = _time(found, first, t)
     node = int(np.searchsorted(question.nodes, at, side="right")) - 1
-    search = ChainSearch(*question.filter_bounds(known.plant, known.moving))
+    search = GainSearch(*question.filter_bounds(known.plant, known.moving))
     search.back = max([len(g) for part in found.proof for g in part.gains], default=8)
     search.deep = max([search.back, *(w.samples.size for w in found.witnesses if w is not None)])
     lifted = rows.matrix @ known.lift
@@ -181,7 +181,7 @@ def project_rows(
         planes.append(c / max(upper, np.finfo(float).tiny))
         points.append(lifted @ x)
     both = np.vstack([points, np.negative(points)])
-    shape = _ellipse(search.chain, question, node, at - question.nodes[node], lifted)
+    shape = _ellipse(search.system, question, node, at - question.nodes[node], lifted)
     return Projection(
         (first, second),
         (rows.units[0], rows.units[1]),
@@ -205,19 +205,19 @@ def _time(found: BracketedRows, first: str, t: float | None) -> float:
     return at
 
 
-def _reached(search: ChainSearch, node: int, row: Array, d: float, question: AccuracyQuestion) -> tuple[float, Array]:
+def _reached(search: GainSearch, node: int, row: Array, d: float, question: AccuracyQuestion) -> tuple[float, Array]:
     """The bound on a row at d after a node, and the state that an admissible adversary reaches against it."""
-    chain = search.chain
-    opened = open_row(chain, node, row, d)
+    system = search.system
+    opened = open_row(system, node, row, d)
     mu = opened.mu[-1]
-    if not np.isfinite(search.atoms[node].rest(mu[None], mu[None])[0]):
-        return np.inf, np.zeros(chain.D.size)
+    if not np.isfinite(search.directions[node].rest(mu[None], mu[None])[0]):
+        return np.inf, np.zeros(system.D.size)
     best = min(search.both_sides(node, mu)[0].value, search.gains(node, mu).value)
     row_adversary = search.adversaries[node][-1]
     witness = physical(row, opened, row_adversary, opened.d.size - 1 if d else 0)
     _, excess = attains(witness, question.bounds, question.initial)
     _, x, _ = witness.simulate()
-    return best + float(opened.above[-1]), x / max(excess, 1.0) if np.isfinite(excess) else np.zeros(chain.D.size)
+    return best + float(opened.above[-1]), x / max(excess, 1.0) if np.isfinite(excess) else np.zeros(system.D.size)
 
 
 def _polar(planes: Array) -> Array:
@@ -247,15 +247,15 @@ def _area(corners: Array) -> float:
     return float(abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2)
 
 
-def _ellipse(chain: SampleChain, question: AccuracyQuestion, node: int, d: float, rows: Array) -> Array:
+def _ellipse(system: SampledSystem, question: AccuracyQuestion, node: int, d: float, rows: Array) -> Array:
     """Shadow of the best ellipsoid with one discount and one share for every sample."""
     best, least = np.full((2, 2), np.inf), np.inf
     lengths = np.diff(question.nodes, append=question.end)
     mean = float(np.mean(lengths[lengths > 0])) if np.any(lengths > 0) else 1.0
-    flat = rows * chain.D
+    flat = rows * system.D
     for discount in DISCOUNTS / mean:
         for share in SHARES:
-            X = _ellipsoid(chain, question.initial, lengths, node, d, float(discount), float(share))
+            X = _ellipsoid(system, question.initial, lengths, node, d, float(discount), float(share))
             if X is None:
                 continue
             Q = flat @ X @ flat.T
@@ -268,25 +268,31 @@ def _ellipse(chain: SampleChain, question: AccuracyQuestion, node: int, d: float
 
 
 def _ellipsoid(
-    chain: SampleChain, initial: InitialSet | None, lengths: Array, node: int, d: float, discount: float, share: float
+    system: SampledSystem,
+    initial: InitialSet | None,
+    lengths: Array,
+    node: int,
+    d: float,
+    discount: float,
+    share: float,
 ) -> Array | None:
     """X at d after a node, in units of D: of the error's ellipsoid e'X^-1 e <= 1."""
-    n, q = chain.G.shape
-    noise = chain.G @ chain.G.T * (1.0 if chain.bounds.w_ball else float(q)) / discount
-    F, W = discounted_flow(chain.A, noise, np.append(lengths, d), discount)
+    n, q = system.G.shape
+    noise = system.G @ system.G.T * (1.0 if system.bounds.w_ball else float(q)) / discount
+    F, W = discounted_flow(system.A, noise, np.append(lengths, d), discount)
     F = F * np.exp(discount / 2 * np.append(lengths, d))[:, None, None]
     information = []
-    for sample, L in zip(chain.samples, chain.L, strict=True):
+    for sample, L in zip(system.samples, system.L, strict=True):
         H = np.linalg.solve(L.T, sample.H.T).T
-        parts = 1.0 if chain.bounds.v_ball else float(max(len(H), 1))
+        parts = 1.0 if system.bounds.v_ball else float(max(len(H), 1))
         information.append(share / parts * H.T @ H)
-    kept = [1 - share if len(s.H) else 1.0 for s in chain.samples]
+    kept = [1 - share if len(s.H) else 1.0 for s in system.samples]
     if initial is None:
         steps = zip(F[:-1], W[:-1], information, kept, strict=True)
         period = in_turn(CovarianceMap(f / np.sqrt(k), G / k, w) for f, w, G, k in steps)
         X = strong(period, np.eye(n) * DIFFUSE, WALK)
     else:
-        S = initial.S * chain.D
+        S = initial.S * system.D
         known = S.T @ S / (1.0 if initial.ball else max(len(S), 1)) + np.eye(n) / DIFFUSE
         known[initial.exact, initial.exact] += DIFFUSE
         X = np.asarray(np.linalg.inv(known))

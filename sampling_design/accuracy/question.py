@@ -9,9 +9,9 @@ import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import Bound, NoiseBound, SignalBounds
-from sampling_design.accuracy.finite import finite_atoms, finite_chain
+from sampling_design.accuracy.finite import finite_directions, finite_system
 from sampling_design.accuracy.results_out import with_branches, with_results_out
-from sampling_design.accuracy.sample_chain import SampleChain, endless_chain
+from sampling_design.accuracy.sampled_system import SampledSystem, periodic_system
 from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.accuracy.undetectable import DetectablePart, known_part
 from sampling_design.errors import ArgumentError
@@ -174,10 +174,10 @@ class AccuracyQuestion:
         comes = self.comes_after
         return float(np.max(self.nodes[:, None] + np.where(np.isfinite(comes), comes, 0.0)))
 
-    def time_of(self, chain: SampleChain, node: int) -> float:
-        """The time of the sample that a node of the chain is, where it is judged."""
-        planned = float(self.nodes[chain.sample_of(node)])
-        turns = np.round((chain.judged[node].time - (planned - self.nodes[0])) / (self.end - self.nodes[0] or 1.0))
+    def time_of(self, system: SampledSystem, node: int) -> float:
+        """The time of the sample that a node of the system is, where it is judged."""
+        planned = float(self.nodes[system.sample_of(node)])
+        turns = np.round((system.judged[node].time - (planned - self.nodes[0])) / (self.end - self.nodes[0] or 1.0))
         return planned + float(turns) * float(self.end - self.nodes[0]) * (self.initial is None)
 
     @property
@@ -193,24 +193,24 @@ class AccuracyQuestion:
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
         return known_part(self.plant, self.nodes, self.schedule.period, outputs)
 
-    def sample_chain(self, plant: Plant, moving: Array | None = None) -> SampleChain:
-        """The chain whose gap j lies behind node j; `plant` is the known part.
+    def sampled_system(self, plant: Plant, moving: Array | None = None) -> SampledSystem:
+        """The system whose gap j lies behind node j; `plant` is the known part.
 
         `moving` (n, m) is what no sample of an endless schedule shows, as it is at the first one.
         """
         if self.initial is not None:
-            chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
+            system = finite_system(plant, self.nodes, self.end, self.bounds, self.initial)
         else:
-            chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
-        return with_results_out(chain, self.comes_after) if self.is_late else chain
+            system = periodic_system(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
+        return with_results_out(system, self.comes_after) if self.is_late else system
 
     def filter_bounds(
         self, plant: Plant, moving: Array | None = None
-    ) -> tuple[SampleChain, Sequence[BoundedDirections]]:
-        """The chain, and what its filter bounds."""
-        chain = self.sample_chain(plant, moving)
-        if chain.start is not None:
-            return chain, with_branches(chain, finite_atoms(chain))
-        r = chain.determined
-        atoms = [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in chain.reach]
-        return chain, with_branches(chain, atoms)
+    ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
+        """The system, and what its filter bounds."""
+        system = self.sampled_system(plant, moving)
+        if system.start is not None:
+            return system, with_branches(system, finite_directions(system))
+        r = system.determined
+        directions = [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in system.reach]
+        return system, with_branches(system, directions)

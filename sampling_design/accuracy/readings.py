@@ -256,8 +256,8 @@ def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: f
     if since is None or since >= t:
         return input_at(inputs, t, count)
     marks = [since, *(given for given, _ in inputs if since < given < t), t]
-    held = [input_at(inputs, a, count) for a in marks[:-1]]
-    return np.asarray(np.diff(marks) @ np.array(held).reshape(len(held), count) / (t - since))
+    inputs_held = [input_at(inputs, a, count) for a in marks[:-1]]
+    return np.asarray(np.diff(marks) @ np.array(inputs_held).reshape(len(inputs_held), count) / (t - since))
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,8 +385,12 @@ class Readings:
         first = bisect_right(self.inputs, a, key=itemgetter(0))
         last = bisect_left(self.inputs, b, key=itemgetter(0))
         edges = [a, *(t for t, _ in self.inputs[first:last]), b]
-        held = [self.inputs[k - 1][1] if k else np.zeros(plant.n_inputs) for k in range(first, max(first, last) + 1)]
-        return [(d - c, plant.B @ u + disturbance) for (c, d), u in zip(pairwise(edges), held, strict=True) if d > c]
+        inputs_held = [
+            self.inputs[k - 1][1] if k else np.zeros(plant.n_inputs) for k in range(first, max(first, last) + 1)
+        ]
+        return [
+            (d - c, plant.B @ u + disturbance) for (c, d), u in zip(pairwise(edges), inputs_held, strict=True) if d > c
+        ]
 
     def _flows(self, lengths: Sequence[float]) -> Array:
         """(N, n, n + n_states) transitions, and what a constant force on the state does meanwhile."""

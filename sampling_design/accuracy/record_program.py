@@ -19,7 +19,7 @@ from sampling_design.accuracy.gains import ROUNDING
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import Readings
 from sampling_design.accuracy.record_cones import RecordCones
-from sampling_design.accuracy.sample_chain import EXACT
+from sampling_design.accuracy.sampled_system import EXACT
 from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED

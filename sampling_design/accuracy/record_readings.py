@@ -126,8 +126,8 @@ def _one_by_one(
     rows: Rows = []
     for item, size, middle in zip(samples, *noise, strict=True):
         values = item.y - middle
-        seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
-        own = [RowReading(plant.C[i], values[i], size[i]) for i in seen]
+        measured = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
+        own = [RowReading(plant.C[i], values[i], size[i]) for i in measured]
         known = partial(_known, read, rows, item.t)
         censored = resolved(plant, disturbance, inputs, item.t, item.censored, known, before, waiting)
         u = input_at(inputs, item.t, plant.n_inputs, before)

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.gains import Gains
-from sampling_design.accuracy.sample_chain import SampleChain
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.sampled_system import SampledSystem
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.start import InitialError, InitialSet, StartSet
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
@@ -135,17 +135,17 @@ class PeriodicGains:
         if not start.whole:
             raise ArgumentError("`initial_error` must bound every state: nothing is guaranteed before it is forgotten.")
         self.plant, self.schedule, self.rows = plant, schedule, found.rows
-        search = ChainSearch(*found.question.filter_bounds(plant))
-        chain = self._chain = search.chain
+        search = GainSearch(*found.question.filter_bounds(plant))
+        system = self._system = search.system
         search.back = max([len(g) for part in found.proof for g in part.gains], default=8)
         self._back, self._p, self._n = search.back, plant.n_outputs, plant.n_states
-        self._phases = [_phase(search, plant, found, j) for j in range(len(chain))]
-        self._start: StartSet = start.scaled(chain.D[:, None] * chain.L[first % len(chain)], chain.D, TINY)
+        self._phases = [_phase(search, plant, found, j) for j in range(len(system))]
+        self._start: StartSet = start.scaled(system.D[:, None] * system.L[first % len(system)], system.D, TINY)
         self._x = np.array(checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states))
         self._x = self._x + start.centre
         self._innovations = np.zeros(2 * self._back * self._p)
         self._at = self._back * self._p
-        self._count, self._j = 0, first % len(chain)
+        self._count, self._j = 0, first % len(system)
         self._time = float(schedule.times[self._j])
         self._u = np.zeros(plant.n_inputs)
         self._passed: list[Array] | None = []
@@ -208,7 +208,7 @@ class PeriodicGains:
     def _early(self, phase: _Phase) -> Array:
         """Radii while the start still counts: what is left of it, and the filter's own before the window is full."""
         assert self._passed is not None
-        first = np.eye(self._n) - self._chain.samples[self._j].K @ self._chain.samples[self._j].H
+        first = np.eye(self._n) - self._system.samples[self._j].K @ self._system.samples[self._j].H
         self._passed.append(phase.passed @ self._passed[-1] if self._passed else first)
         if self._count > self._back:
             window = self._passed[-self._back]
@@ -222,13 +222,13 @@ class PeriodicGains:
         return np.asarray(phase.early + np.array(left))
 
 
-def _phase(search: ChainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase:
-    chain, bounds, n, m = search.chain, search.chain.bounds, plant.n_states, plant.n_inputs
-    sample, before = chain.samples[j], chain.gaps[j - 1]
+def _phase(search: GainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase:
+    system, bounds, n, m = search.system, search.system.bounds, plant.n_states, plant.n_inputs
+    sample, before = system.samples[j], system.gaps[j - 1]
     scaled = np.hstack([plant.B, np.zeros((n, 1)) if bounds.w_centre is None else (plant.G @ bounds.w_centre)[:, None]])
-    flow = forced_flow(chain.A, scaled / chain.D[:, None], [before.length])[0]
-    flow = chain.D[:, None] * flow / np.concatenate([chain.D, np.ones(m + 1)])
-    mu = chain.mu(j, found.rows.matrix)
+    flow = forced_flow(system.A, scaled / system.D[:, None], [before.length])[0]
+    flow = system.D[:, None] * flow / np.concatenate([system.D, np.ones(m + 1)])
+    mu = system.mu(j, found.rows.matrix)
     made = [search.window(j, search.back, False).gains(column) for column in mu.T]
     parts = [_on_innovations(search, j, column, one) for column, one in zip(mu.T, made, strict=True)]
     shift = np.zeros(len(sample.H)) if bounds.v_centre is None else bounds.v_centre[j, sample.outputs] / sample.size
@@ -239,30 +239,30 @@ def _phase(search: ChainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase
         size=sample.size,
         drift=freeze(flow[:, n + m]),
         shift=freeze(shift),
-        K=freeze(chain.D[:, None] * (chain.L[j] @ sample.K)),
+        K=freeze(system.D[:, None] * (system.L[j] @ sample.K)),
         weights=freeze([weights for weights, _ in parts]),
         radii=freeze([one.value for one in made]),
-        early=freeze(np.abs(mu).T @ chain.reach[j]),
+        early=freeze(np.abs(mu).T @ system.reach[j]),
         rests=freeze(np.array([rest for _, rest in parts]).T),
         mu=freeze(mu),
         passed=freeze((np.eye(n) - sample.K @ sample.H) @ before.F),
     )
 
 
-def _on_innovations(search: ChainSearch, j: int, mu: Array, gains: Gains) -> tuple[Array, Array]:
+def _on_innovations(search: GainSearch, j: int, mu: Array, gains: Gains) -> tuple[Array, Array]:
     """Weights on the filter's innovations in place of gains on the data, and the rest at the window's start.
 
     With g_k the costate after sample k is taken out, weights are (I - H K)'lambda_k - K'g_k, and (I - H K)'lambda_0 at
     the first sample, whose estimate the window starts from.
     """
-    chain: SampleChain = search.chain
-    p = chain.plant.n_outputs
-    nodes = chain.nodes(j, len(gains.gains))
+    system: SampledSystem = search.system
+    p = system.plant.n_outputs
+    nodes = system.nodes(j, len(gains.gains))
     weights, g = np.zeros((len(nodes), p)), mu
     for k in range(len(nodes) - 1, -1, -1):
-        sample, lam = chain.samples[nodes[k]], gains.gains[k]
+        sample, lam = system.samples[nodes[k]], gains.gains[k]
         g = g - sample.H.T @ lam
         left = lam - sample.K.T @ (sample.H.T @ lam)
         weights[k, sample.outputs] = left - sample.K.T @ g if k else left
-        g = chain.gaps[nodes[k - 1]].F.T @ g if k else g
+        g = system.gaps[nodes[k - 1]].F.T @ g if k else g
     return weights.ravel(), g

@@ -1,7 +1,7 @@
 """What is known at the time, where results come later than their samples: the samples whose results are in by then.
 
 Between two results the set of those that are in stays the same. It is all samples up to some time, and of those since
-then the quick ones: a branch of the chain, whose nodes are samples again without what is out. No noise is added.
+then the quick ones: a branch of the system, whose nodes are samples again without what is out. No noise is added.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.finite import determined_at
 from sampling_design.accuracy.gains import followed_back, path_bounds
-from sampling_design.accuracy.sample_chain import ChainSample, KnownSpan, SampleChain
+from sampling_design.accuracy.sampled_system import KnownSpan, MeasurementModel, SampledSystem
 from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-9  # results that come within this share of all times come together, when the last of them does
@@ -40,14 +40,14 @@ def results_in(times: Array, delays: Array, *, period: float | None = None, end:
     return _endless(times, period, delays) if period is not None else _finite(times, end, delays)
 
 
-def with_results_out(chain: SampleChain, delays: Array) -> SampleChain:
-    """Return a chain in which each result counts from its delay (N, p) on, as for `results_in`."""
-    times = np.append(0.0, np.cumsum([gap.length for gap in chain.gaps]))
-    if chain.start is None:
+def with_results_out(system: SampledSystem, delays: Array) -> SampledSystem:
+    """Return a system in which each result counts from its delay (N, p) on, as for `results_in`."""
+    times = np.append(0.0, np.cumsum([gap.length for gap in system.gaps]))
+    if system.start is None:
         arrivals = results_in(times[:-1], delays, period=float(times[-1]))
     else:
-        arrivals = results_in(times, delays, end=float(times[-1]) + chain.last)
-    spans, again, before, samples = list[KnownSpan](), list[int](), list[int](), list(chain.samples)
+        arrivals = results_in(times, delays, end=float(times[-1]) + system.last)
+    spans, again, before, samples = list[KnownSpan](), list[int](), list[int](), list(system.samples)
     for arrival in arrivals:
         measured = np.isfinite(delays[arrival.samples])
         part = np.flatnonzero(np.any(measured & ~arrival.arrived, axis=1))
@@ -55,27 +55,27 @@ def with_results_out(chain: SampleChain, delays: Array) -> SampleChain:
         for k in range(first, len(arrival.samples)):
             j = int(arrival.samples[k])
             before.append(
-                len(samples) - 1 if k > first else (j - 1 if chain.start is not None else (j - 1) % len(chain))
+                len(samples) - 1 if k > first else (j - 1 if system.start is not None else (j - 1) % len(system))
             )
             again.append(j)
-            samples.append(_without(chain.samples[j], arrival.arrived[k]))
+            samples.append(_without(system.samples[j], arrival.arrived[k]))
             node = len(samples) - 1
         time = float(arrival.times[-1])
         spans.append(KnownSpan(node, time, arrival.begin - time, arrival.end - time))
-    L = np.concatenate([chain.L, chain.L[again]]) if again else chain.L
+    L = np.concatenate([system.L, system.L[again]]) if again else system.L
     return replace(
-        chain, L=L, samples=tuple(samples), known_spans=tuple(spans), again=tuple(again), before=tuple(before)
+        system, L=L, samples=tuple(samples), known_spans=tuple(spans), again=tuple(again), before=tuple(before)
     )
 
 
 class NodeBounds(Sequence[BoundedDirections]):
-    """What bounds the nodes of a chain, of those too of which some results are out: these when they are asked for."""
+    """What bounds the nodes of a system, of those too of which some results are out: these when they are asked for."""
 
-    def __init__(self, chain: SampleChain, atoms: Sequence[BoundedDirections]):
-        self._chain, self._found = chain, dict(enumerate(atoms))
+    def __init__(self, system: SampledSystem, directions: Sequence[BoundedDirections]):
+        self._system, self._found = system, dict(enumerate(directions))
 
     def __len__(self) -> int:
-        return len(self._chain.samples)
+        return len(self._system.samples)
 
     @overload
     def __getitem__(self, at: int) -> BoundedDirections: ...
@@ -91,40 +91,42 @@ class NodeBounds(Sequence[BoundedDirections]):
         return self._found[at]
 
     def _branch(self, node: int) -> BoundedDirections:
-        chain, path = self._chain, self._chain.nodes(node, 1)
-        if chain.start is None:
-            r = chain.determined
-            basis, reach = np.eye(chain.D.size)[:, :r], self[path[0]].reach
-            cost, g, _, _ = followed_back(chain, path, basis, _filter_of(chain, path))
+        system, path = self._system, self._system.nodes(node, 1)
+        if system.start is None:
+            r = system.determined
+            basis, reach = np.eye(system.D.size)[:, :r], self[path[0]].reach
+            cost, g, _, _ = followed_back(system, path, basis, _filter_of(system, path))
             return BoundedDirections(basis, (cost + reach @ np.abs(g[:r])) * (1 + 1e-11))
-        path = chain.nodes(node, len(chain))
-        basis = determined_at(chain, path)
+        path = system.nodes(node, len(system))
+        basis = determined_at(system, path)
 
         def known(k: int) -> Array | None:
             return self[path[k]].reach if k and self[path[k]].whole else None
 
-        return BoundedDirections(basis, path_bounds(chain, path, chain.start, known, basis))
+        return BoundedDirections(basis, path_bounds(system, path, system.start, known, basis))
 
 
-def with_branches(chain: SampleChain, atoms: list[BoundedDirections]) -> Sequence[BoundedDirections]:
-    """Return what bounds the nodes of a chain; `atoms` are its samples'.
+def with_branches(system: SampledSystem, directions: list[BoundedDirections]) -> Sequence[BoundedDirections]:
+    """Return what bounds the nodes of a system; `directions` are its samples'.
 
     Raises UndecidedError where something free has decayed so far that doubles cannot tell what is left.
     """
-    found = NodeBounds(chain, atoms)
-    free = chain.start is not None and chain.start.free(chain.D.size).shape[1]
+    found = NodeBounds(system, directions)
+    free = system.start is not None and system.start.free(system.D.size).shape[1]
     return found[:] if free else found
 
 
-def _filter_of(chain: SampleChain, path: list[int]) -> Callable[[int, Array], Array]:
+def _filter_of(system: SampledSystem, path: list[int]) -> Callable[[int, Array], Array]:
     """The filter's gains at the nodes of a path."""
-    return lambda k, rest: chain.samples[path[k]].K.T @ rest
+    return lambda k, rest: system.samples[path[k]].K.T @ rest
 
 
-def _without(sample: ChainSample, arrived: Mask) -> ChainSample:
+def _without(sample: MeasurementModel, arrived: Mask) -> MeasurementModel:
     """A sample of which only some outputs are in."""
     keep = arrived[sample.outputs]
-    return ChainSample(sample.outputs[keep], sample.size[keep], sample.H[keep], sample.exact[keep], sample.K[:, keep])
+    return MeasurementModel(
+        sample.outputs[keep], sample.size[keep], sample.H[keep], sample.exact[keep], sample.K[:, keep]
+    )
 
 
 def _endless(times: Array, period: float, delays: Array) -> list[ResultsIn]:

@@ -24,7 +24,7 @@ UNSTABLE = 1e-9
 
 REPRODUCED = 1e-5
 """Relative change over a period, and growth of an error, below which what doubling found is the limit; above what a
-small random walk leaves of motions that neither grow nor decay and that no noise reaches."""
+small random walk leaves of trajectories that neither grow nor decay and that no noise reaches."""
 
 STEADY = 1e-9
 """Relative change over a period at which roots have settled; after `MOST_PERIODS` what is left is no more than this."""
@@ -54,7 +54,7 @@ def strong(period: CovarianceMap, start: Array, share: float) -> Array:
 def limit(period: CovarianceMap) -> Array:
     """Return the limit of repeated periods from P = 0, the least covariance that reproduces itself.
 
-    Where a motion grows so far that doubling loses it, what is returned does not reproduce itself (`RootedPeriod`).
+    Where a trajectory grows so far that doubling loses it, what is returned does not reproduce itself (`RootedPeriod`).
     """
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(DOUBLINGS):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.between_samples import FINENESS, GRID
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.numerics.balls import Ball, Matrix, ball, flint, matrix, precision
 from sampling_design.records.arrays import Array
 
@@ -66,21 +66,21 @@ def _table(rows: list[list[Ball]], columns: int) -> Matrix:
     return flint().arb_mat(rows) if rows and columns else matrix(np.zeros((len(rows), columns)))
 
 
-class BallChain:
-    """An endless chain in balls, in units of D: flows, panels, and the filter's reach, proven anew."""
+class BallSystem:
+    """An endless system in balls, in units of D: flows, panels, and the filter's reach, proven anew."""
 
-    def __init__(self, chain: SampleChain):
-        self.chain = chain
-        plant, n = chain.plant, chain.D.size
+    def __init__(self, system: SampledSystem):
+        self.system = system
+        plant, n = system.plant, system.D.size
         self.n, self.q = n, plant.n_disturbances
-        D, w = [ball(d) for d in chain.D], [ball(x) for x in chain.bounds.w]
+        D, w = [ball(d) for d in system.D], [ball(x) for x in system.bounds.w]
         self.A = _table([[ball(plant.A[i, j]) * D[j] / D[i] for j in range(n)] for i in range(n)], n)
         self.G = _table([[ball(plant.G[i, j]) * w[j] / D[i] for j in range(self.q)] for i in range(n)], self.q)
         self.D, self.size = D, _norm(_entries(self.A))
-        self.Lt = [matrix(L).transpose() for L in chain.L]
+        self.Lt = [matrix(L).transpose() for L in system.L]
         self.Ct = [
             _table([[ball(plant.C[i, k]) * D[k] / ball(z) for k in range(n)] for i, z in pairs], n).transpose()
-            for pairs in ([*zip(s.outputs, s.size, strict=True)] for s in chain.samples)
+            for pairs in ([*zip(s.outputs, s.size, strict=True)] for s in system.samples)
         ]
         self._flows: dict[tuple[float, int], tuple[Matrix, _Panels]] = {}
         self.reach: list[list[Ball]] = []
@@ -103,20 +103,20 @@ class BallChain:
         return self._flows[length, count]
 
     def gap(self, j: int) -> tuple[Matrix, _Panels]:
-        """Flow and panels of gap j, as fine as those of the chain."""
-        gap = self.chain.gaps[j]
+        """Flow and panels of gap j, as fine as those of the system."""
+        gap = self.system.gaps[j]
         return self.over(gap.length, gap.panels.s.size - 1)
 
     def measure(self, entries: list[Ball]) -> Ball:
         """h_W in units of the bounds."""
-        return _norm(entries) if self.chain.bounds.w_ball else _total([abs(x) for x in entries])
+        return _norm(entries) if self.system.bounds.w_ball else _total([abs(x) for x in entries])
 
     def integrals(self, g: Matrix, panels: _Panels) -> tuple[list[Ball], list[Ball]]:
         """Upper bounds on int h_W(G'e^{A's}g) ds up to every panel end, and on sup |p''| per panel."""
         values, n, q, half = _entries(panels.every * g), self.n, self.q, (panels.count + 1) * self.q
         sizes = [self.measure(values[k : k + q]) for k in range(0, half, q or 1)] if q else []
         bends = [self.measure(values[half + k : half + k + q]) for k in range(0, half, q or 1)] if q else []
-        drift = panels.third * panels.step / 2 * (1 if self.chain.bounds.w_ball else max(q, 1))
+        drift = panels.third * panels.step / 2 * (1 if self.system.bounds.w_ball else max(q, 1))
         sums, sups = [ball(0.0)], []
         for k in range(panels.count):
             size = _norm(values[2 * half + k * n : 2 * half + (k + 1) * n])
@@ -128,10 +128,10 @@ class BallChain:
 
     def noise(self, j: int, gains: list[Ball]) -> Ball:
         """h_V of gains in units of the noise; an exact sensor costs nothing."""
-        sample, v = self.chain.samples[j], self.chain.bounds.v[j]
+        sample, v = self.system.samples[j], self.system.bounds.v[j]
         pairs = zip(gains, sample.outputs, sample.size, strict=True)
         costs = [abs(x) * ball(v[i]) / ball(z) for x, i, z in pairs]
-        return _norm(costs) if self.chain.bounds.v_ball else _total(costs)
+        return _norm(costs) if self.system.bounds.v_ball else _total(costs)
 
     def passed(self, j: int, g: Matrix, gains: list[Ball]) -> tuple[Matrix, Ball]:
         """The costate before sample j and what its gains cost."""
@@ -141,30 +141,30 @@ class BallChain:
 
     def prove_reach(self) -> bool:
         """Whether R_j >= cost_j + |rest_j|'R_k with contracting rests holds for reaches hardly raised."""
-        chain = self.chain
-        if chain.forgetting.max(initial=0) > MOST_STEPS:
+        system = self.system
+        if system.forgetting.max(initial=0) > MOST_STEPS:
             return False
-        self.reach = [[ball(float(x) * (1 + RAISED)) for x in R] for R in chain.reach]
-        for j, back in enumerate(chain.forgetting):
-            R = self.reach[(j - back) % len(chain)]
+        self.reach = [[ball(float(x) * (1 + RAISED)) for x in R] for R in system.reach]
+        for j, back in enumerate(system.forgetting):
+            R = self.reach[(j - back) % len(system)]
             for cost, rest, most in zip(*self._filtered(j, int(back)), self.reach[j], strict=True):
                 if not _total(rest) < 1 or not cost + _total([a * b for a, b in zip(rest, R, strict=True)]) <= most:
                     return False
         return True
 
     def _filtered(self, j: int, back: int) -> tuple[list[Ball], list[list[Ball]]]:
-        """Costs and rests of the filter's gains for the entries of z_j, over as many samples as the chain's reach."""
-        chain, at = self.chain, j
+        """Costs and rests of the filter's gains for the entries of z_j, over as many samples as the system's reach."""
+        system, at = self.system, j
         costs, columns = [ball(0.0)] * self.n, [self.Lt[j].solve(_column(unit)) for unit in np.eye(self.n)]
         for step in range(back + 1):
-            K = chain.samples[at].K
+            K = system.samples[at].K
             for k, g in enumerate(columns):
                 gains = _entries(matrix(K.T) * (self.Lt[at] * g)) if K.shape[1] else []
                 columns[k], paid = self.passed(at, g, gains)
                 costs[k] = (costs[k] + paid).upper()
             if step == back:
                 break
-            at = (at - 1) % len(chain)
+            at = (at - 1) % len(system)
             flow, panels = self.gap(at)
             for k, g in enumerate(columns):
                 costs[k] = (costs[k] + self.integrals(g, panels)[0][-1]).upper()
@@ -173,7 +173,7 @@ class BallChain:
 
     def evaluated(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Ball:
         """What gains prove of mu'z_j."""
-        nodes = self.chain.nodes(j, len(gains))
+        nodes = self.system.nodes(j, len(gains))
         total, g = ball(0.0), self.Lt[j].solve(_column(mu))
         for k in range(len(nodes) - 1, -1, -1):
             g, paid = self.passed(nodes[k], g, [ball(x) for x in gains[k]])
@@ -188,9 +188,9 @@ class BallChain:
         """What the reach bounds."""
         return _total([abs(x) * r for x, r in zip(entries, self.reach[j], strict=True)])
 
-    def bounds(self, j: int, mus: list[list[Ball]], atoms: BoundedDirections, values: list[Ball]) -> list[Ball]:
+    def bounds(self, j: int, mus: list[list[Ball]], directions: BoundedDirections, values: list[Ball]) -> list[Ball]:
         """Bounds on rho of directions by the fits of floats, whose rests are balls."""
-        fit = atoms.fit(np.array([[float(x) for x in mu] for mu in mus]))
+        fit = directions.fit(np.array([[float(x) for x in mu] for mu in mus]))
         found = []
         for mu, places, shares in zip(mus, fit.place, fit.share, strict=True):
             total, left = ball(0.0), mu
@@ -198,15 +198,15 @@ class BallChain:
                 if share:
                     a = ball(share)
                     total += abs(a) * values[place]
-                    left = [x - a * ball(y) for x, y in zip(left, atoms.mu[place], strict=True)]
+                    left = [x - a * ball(y) for x, y in zip(left, directions.mu[place], strict=True)]
             fitted, plain = (total + self.rest(j, left)).upper(), self.rest(j, mu)
             found.append(fitted if fitted < plain else plain)
         return found
 
-    def top(self, j: int, row: Array, atoms: BoundedDirections, values: list[Ball]) -> Ball:
+    def top(self, j: int, row: Array, directions: BoundedDirections, values: list[Ball]) -> Ball:
         """An upper bound on rho of a row over all real times of gap j."""
-        length = self.chain.gaps[j].length
-        count = int(np.clip(np.ceil(float(np.linalg.norm(self.chain.A, 2)) * length / FINENESS), *GRID))
+        length = self.system.gaps[j].length
+        count = int(np.clip(np.ceil(float(np.linalg.norm(self.system.A, 2)) * length / FINENESS), *GRID))
         _, panels = self.over(length, count)
         c = _table([[ball(x) * d] for x, d in zip(row, self.D, strict=True)], 1)
         above, sups = self.integrals(c, panels)
@@ -220,8 +220,8 @@ class BallChain:
             slopes.append(self.measure(_entries(self.G.transpose() * first)) if self.q else ball(0.0))
             thirds.append(_norm(_entries(At * second)))
             g = E * g
-        nodes = [x + y for x, y in zip(self.bounds(j, mus, atoms, values), above, strict=True)]
-        turns = self.bounds(j, bends, atoms, values)
+        nodes = [x + y for x, y in zip(self.bounds(j, mus, directions, values), above, strict=True)]
+        turns = self.bounds(j, bends, directions, values)
         widths = [_norm(_entries(self.Lt[j])[k * self.n : (k + 1) * self.n]) for k in range(self.n)]
         reached = _total([a * r for a, r in zip(widths, self.reach[j], strict=True)]) * (self.size * panels.step).exp()
         best, h = ball(0.0), panels.step
@@ -232,25 +232,25 @@ class BallChain:
         return best
 
 
-def proven_above(chain: SampleChain, rows: Array, uppers: Array, proof: tuple[GapProof, ...]) -> bool:
+def proven_above(system: SampledSystem, rows: Array, uppers: Array, proof: tuple[GapProof, ...]) -> bool:
     """Whether gains prove upper bounds on rows (r, n) at all real times of an endless schedule, in ball arithmetic."""
     with precision(BITS):
-        balls = BallChain(chain)
+        balls = BallSystem(system)
         if not balls.prove_reach():
             return False
         kept: dict[int, tuple[BoundedDirections, list[Ball]]] = {}
         for part in proof:
             values = [balls.evaluated(part.sample, mu, g) for mu, g in zip(part.directions, part.gains, strict=True)]
-            atoms = BoundedDirections.of(
-                chain.reach[part.sample], part.directions, part.gains, [float(x) for x in values]
+            directions = BoundedDirections.of(
+                system.reach[part.sample], part.directions, part.gains, [float(x) for x in values]
             )
-            kept[part.sample] = atoms, values
-        if sorted(kept) != list(range(len(chain))):
+            kept[part.sample] = directions, values
+        if sorted(kept) != list(range(len(system))):
             return False
         return all(
-            balls.top(j, row, atoms, values) <= ball(upper)
+            balls.top(j, row, directions, values) <= ball(upper)
             for row, upper in zip(rows, uppers, strict=True)
-            for j, (atoms, values) in kept.items()
+            for j, (directions, values) in kept.items()
         )
 
 
@@ -263,9 +263,9 @@ def proven_below(witness: AccuracyWitness, bounds: SignalBounds, lower: float) -
     if np.any(witness.states[0]):
         return lower <= 0
     with precision(BITS):
-        flight, most, value = _BallTrajectory(witness, bounds), ball(1.0), ball(0.0)
+        response, most, value = _BallTrajectory(witness, bounds), ball(1.0), ball(0.0)
         for k in range(len(witness.states)):
-            found = flight.gap(k)
+            found = response.gap(k)
             if found is None:
                 return False
             most, value = _larger(most, found[0]), found[1]

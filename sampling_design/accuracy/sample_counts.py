@@ -52,8 +52,8 @@ class AccuracyByCount(TableRecord, PlainRecord):
     def upper(self) -> Array:
         """Proven for each count and row (k, r): k evenly spaced samples hold those of each divisor of k, and none."""
         own = np.array([found.upper for found in self.accuracies])
-        held = [[k == many or k == 0 or (many > 0 and many % k == 0) for k in self.counts] for many in self.counts]
-        return freeze([own[which].min(axis=0) for which in held])
+        nested = [[k == many or k == 0 or (many > 0 and many % k == 0) for k in self.counts] for many in self.counts]
+        return freeze([own[which].min(axis=0) for which in nested])
 
     @property
     def lower(self) -> Array:
@@ -88,9 +88,9 @@ class AccuracyByCount(TableRecord, PlainRecord):
 
     def explain(self) -> str:
         """Say what samples buy."""
-        told = " ".join(f"{what[0].upper()}{what[1:]}: {within}." for what, within in self._rows())
+        bounds = " ".join(f"{what[0].upper()}{what[1:]}: {within}." for what, within in self._rows())
         wide = "" if self.closed else " Proven, but not as sharp as can be: a larger `budget` narrows it."
-        return f"Whatever disturbances and noise do within their bounds, errors stay within these. {told}{wide}"
+        return f"Whatever disturbances and noise do within their bounds, errors stay within these. {bounds}{wide}"
 
 
 @checked

@@ -12,7 +12,7 @@ from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, bo
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
-from sampling_design.accuracy.sample_chain import CELL_LOSS, SampleChain
+from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
 from sampling_design.accuracy.start import ErrorBefore, ErrorReach
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
@@ -31,7 +31,7 @@ FILLED = 24  # offsets solved for the profile of one row, though two for each ga
 ATTACKS = (8, 32)
 """Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
 
-ADVERSARIES_LONG = 3  # attacks, and targets solved, where windows are as long as the filter's memory
+ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
 SMALL = 5000  # cells times entries of w in a small program
 TOLERANCE = 1e-7  # asked of the solver: what both sides prove is second order in it
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
@@ -50,7 +50,7 @@ class RowAdversary:
 
     sample: int
     adversary: Adversary
-    chain: SampleChain
+    system: SampledSystem
     """With the cells on which its w is constant."""
 
     @property
@@ -63,7 +63,7 @@ class RowAdversary:
 class RowSearch:
     """One row over the whole schedule: where it was solved and an adversary sought, and the bracket.
 
-    By nodes of the chain, of those after which it is judged, in order of time.
+    By nodes of the system, of those after which it is judged, in order of time.
     """
 
     row: Array
@@ -77,7 +77,7 @@ class RowSearch:
     tried: set[tuple[int, int]] = field(default_factory=set)
     """Where an adversary was sought."""
     combined: set[tuple[int, int]] = field(default_factory=set)
-    """Where gains of atoms were put together."""
+    """Where gains of directions were put together."""
     lower: float = 0.0
     upper: float = np.inf
     worst: tuple[int, int] = (0, 0)
@@ -91,61 +91,67 @@ class RowSearch:
         return bool(self.tried) and self.lower <= NEGLIGIBLE**2 * self.size
 
 
-class ChainSearch:
-    """Windows of a chain, made once for each phase, and what was found after each sample: atoms and adversaries."""
+class GainSearch:
+    """Windows of a system, made once for each phase; after each sample the directions and adversaries found so far."""
 
     def __init__(
         self,
-        chain: SampleChain,
-        atoms: Sequence[BoundedDirections],
+        system: SampledSystem,
+        directions: Sequence[BoundedDirections],
         solved: Callable[[], None] = lambda: None,
         budget: Budget = ENDLESS,
     ):
-        self.chain, self._tell, self.budget = chain, solved, budget
+        self.system, self._tell, self.budget = system, solved, budget
         self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
         self.solves = 0
         self._enough: set[int] = set()
         """Depths that twice as many samples did not improve on."""
-        self.atoms = atoms
-        self.adversaries: list[list[RowAdversary]] = [[] for _ in range(len(chain.samples))]
-        self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
+        self.directions = directions
+        self.adversaries: list[list[RowAdversary]] = [[] for _ in range(len(system.samples))]
+        self._long = system.start is None and system.memory > LASTING and boxed(system, list(range(len(system))))
         if self._long:
-            self.deep, self.back = chain.memory, chain.memory // 2
+            self.deep, self.back = system.memory, system.memory // 2
 
     @cached_property
-    def _coarse(self) -> SampleChain:
-        return self.chain.refined(COARSE)
+    def _coarse(self) -> SampledSystem:
+        return self.system.refined(COARSE)
 
     def idle(self, j: int) -> RowAdversary:
         """An adversary that does nothing up to sample j."""
-        return RowAdversary(j, Adversary(0.0, (), np.zeros((1, self.chain.D.size))), self.chain)
+        return RowAdversary(j, Adversary(0.0, (), np.zeros((1, self.system.D.size))), self.system)
 
     def offset(self, found: RowSearch, j: int, place: int) -> float:
         """What the estimate of a row at an offset adds since bounds are not centred at 0."""
-        return centre_offset(self.chain, found.row, j, float(found.opened[j].d[place]), self._gains_at(found, j, place))
+        return centre_offset(
+            self.system, found.row, j, float(found.opened[j].d[place]), self._gains_at(found, j, place)
+        )
 
     def _gains_at(self, found: RowSearch, j: int, place: int) -> tuple[Array, ...]:
-        bounds, mu = self.chain.bounds, found.opened[j].mu[place]
+        bounds, mu = self.system.bounds, found.opened[j].mu[place]
         if bounds.w_centre is None and bounds.v_centre is None:
             return ()
-        at = self.atoms[j].find(mu)
-        gains = self.atoms[j].gains[at] if at is not None else self.window(j, self.back, False).gains(mu)
-        size = 1.0 if at is None else float(mu @ self.atoms[j].mu[at] / (self.atoms[j].mu[at] @ self.atoms[j].mu[at]))
+        at = self.directions[j].find(mu)
+        gains = self.directions[j].gains[at] if at is not None else self.window(j, self.back, False).gains(mu)
+        size = (
+            1.0
+            if at is None
+            else float(mu @ self.directions[j].mu[at] / (self.directions[j].mu[at] @ self.directions[j].mu[at]))
+        )
         return tuple(size * lam for lam in gains.gains)
 
     def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], ErrorBefore]:
         """The last samples up to j, and what is known before the first of them."""
-        nodes = self.chain.nodes(j, count)
-        if self.chain.start is not None:
-            if self.chain.sample_of(nodes[0]) and not from_zero and not self.atoms[nodes[0]].whole:
-                nodes = self.chain.nodes(j, len(self.chain))
-            if not self.chain.sample_of(nodes[0]):
-                return nodes, self.chain.start
+        nodes = self.system.nodes(j, count)
+        if self.system.start is not None:
+            if self.system.sample_of(nodes[0]) and not from_zero and not self.directions[nodes[0]].whole:
+                nodes = self.system.nodes(j, len(self.system))
+            if not self.system.sample_of(nodes[0]):
+                return nodes, self.system.start
         if from_zero:
-            return nodes, ErrorReach(np.zeros(self.chain.D.size))
-        known = self.chain.reach[nodes[0]] if self.chain.start is None else self.atoms[nodes[0]].reach
+            return nodes, ErrorReach(np.zeros(self.system.D.size))
+        known = self.system.reach[nodes[0]] if self.system.start is None else self.directions[nodes[0]].reach
         return nodes, ErrorReach(known)
 
     def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
@@ -153,16 +159,16 @@ class ChainSearch:
         key = (j, count, from_zero, rough)
         if key not in self._windows:
             self._windows[key] = ConeWindow(
-                self._coarse if rough else self.chain, *self.past(j, count, from_zero), tolerance=TOLERANCE
+                self._coarse if rough else self.system, *self.past(j, count, from_zero), tolerance=TOLERANCE
             )
         return self._windows[key]
 
     def gains(self, j: int, mu: Array, enough: float = 0.0) -> Gains:
-        """Gains for mu'z_j over `back` samples, kept among the atoms; good ones, if what they prove is `enough`."""
+        """Gains for mu'z_j over `back` samples, kept with the direction; good ones, if they prove `enough`."""
         self.solves += 1
         self._tell()
         found = self.window(j, self.back, False).gains(mu, enough)
-        self.atoms[j].add(mu, found)
+        self.directions[j].add(mu, found)
         return found
 
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
@@ -172,41 +178,41 @@ class ChainSearch:
         """
         self.solves += 1
         self._tell()
-        from_rest = self.chain.undriven is None or bool(self.chain.G.any())
+        from_rest = self.system.free_responses is None or bool(self.system.G.any())
         gains, adversary = self.window(j, self.deep, from_rest, rough).both(mu)
-        if from_rest and adversary.value <= 0 and self.chain.undriven is not None:
+        if from_rest and adversary.value <= 0 and self.system.free_responses is not None:
             from_rest = False
             gains, adversary = self.window(j, self.deep, False, rough).both(mu)
         if not from_rest:
             adversary = max(adversary, self._for_ever(j, mu), key=lambda one: one.value)
-        self._keep(j, adversary, self._coarse if rough else self.chain)
+        self._keep(j, adversary, self._coarse if rough else self.system)
         gains = self.evaluate(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
-        self.atoms[j].add(mu, gains)
+        self.directions[j].add(mu, gains)
         return gains, adversary
 
     def _for_ever(self, j: int, mu: Array) -> Adversary:
         """The strongest adversary against mu'z_j that nothing drives and that noise hides whenever samples come."""
-        chain, undriven = self.chain, self.chain.undriven
-        assert undriven is not None
-        x = undriven.strongest(np.linalg.solve(chain.L[j].T, mu) / chain.D)
-        z = np.linalg.solve(chain.L[j], x / max(1.0, undriven.excess(x)) / chain.D)
+        system, free_responses = self.system, self.system.free_responses
+        assert free_responses is not None
+        x = free_responses.strongest(np.linalg.solve(system.L[j].T, mu) / system.D)
+        z = np.linalg.solve(system.L[j], x / max(1.0, free_responses.excess(x)) / system.D)
         return Adversary(float(mu @ z), (), z[None])
 
-    def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
+    def _keep(self, j: int, adversary: Adversary, system: SampledSystem) -> None:
         """Keep a row_adversary, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
-        rests = self.chain.start is None and not adversary.z[0].any()
-        nodes = self.chain.latest(j, count)
-        for k in range(max(int(rests), count - len(self.chain)), count):
+        rests = self.system.start is None and not adversary.z[0].any()
+        nodes = self.system.latest(j, count)
+        for k in range(max(int(rests), count - len(self.system)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
-            self.adversaries[nodes[k]].append(RowAdversary(nodes[k], part, chain))
+            self.adversaries[nodes[k]].append(RowAdversary(nodes[k], part, system))
 
     def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
         """What any gains prove of mu'z_j; no solver."""
-        branch = len(self.chain.nodes(j, 0))  # samples of which some results are out, which are beside the count
+        branch = len(self.system.nodes(j, 0))  # samples of which some results are out, which are beside the count
         nodes, start = self.past(j, max(len(gains) - branch, 1), False)
-        missing = [np.zeros(len(self.chain.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
-        return evaluated(self.chain, nodes, start, mu, [*missing, *gains])
+        missing = [np.zeros(len(self.system.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
+        return evaluated(self.system, nodes, start, mu, [*missing, *gains])
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
@@ -242,17 +248,17 @@ class ChainSearch:
         if self.cell_loss <= FINEST:
             return False
         self.cell_loss /= 4
-        self.chain = self.chain.refined(self.cell_loss)
+        self.system = self.system.refined(self.cell_loss)
         self._windows.clear()
         gains, adversary = self.both_sides(j, mu)
         target = min(best * (1 - rtol), below * (1 + rtol / 8))
         return adversary.value >= target or gains.value < best * (1 - rtol / 8)
 
     def opened(self, row: Array) -> RowSearch:
-        """A row over the schedule, as far as atoms and adversaries against other rows tell."""
+        """A row over the schedule, as far as directions and adversaries against other rows tell."""
         known: KnownIntegrals = {}
-        gaps = {j: open_row(self.chain, j, row, known=known) for j in self.chain.judged}
-        bounds = {j: gap.bound(self.atoms[j]) for j, gap in gaps.items()}
+        gaps = {j: open_row(self.system, j, row, known=known) for j in self.system.judged}
+        bounds = {j: gap.bound(self.directions[j]) for j, gap in gaps.items()}
         nodes, panels = ({j: both[side] for j, both in bounds.items()} for side in (0, 1))
         found = RowSearch(row, gaps, nodes, panels, {j: {} for j in gaps})
         found.lower = max(self._reached(found, j) for j in gaps)
@@ -268,18 +274,18 @@ class ChainSearch:
     def attained(self, found: RowSearch, j: int) -> Array:
         """What adversaries attain against a row at the offsets of gap j."""
         opened = found.opened[j]
-        ends = np.array([row_adversary.end for row_adversary in self.adversaries[j]]).reshape(-1, self.chain.D.size)
+        ends = np.array([row_adversary.end for row_adversary in self.adversaries[j]]).reshape(-1, self.system.D.size)
         return np.asarray(opened.below + np.max(np.abs(ends @ opened.mu.T), axis=0, initial=0.0))
 
     def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
         """Evaluate given gains for a direction after sample j; no solver."""
-        self.atoms[j].add(mu, self.evaluate(j, mu, gains))
+        self.directions[j].add(mu, self.evaluate(j, mu, gains))
 
     def row(self, row: Array, rtol: float, most: int) -> RowSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""
         found = self.opened(row)
         limit = self.solves + most
-        found.size = float(np.abs(row * self.chain.D).sum())
+        found.size = float(np.abs(row * self.system.D).sum())
         while True:
             top, j, panel = self.top(found)
             found.upper, found.worst = top, (j, panel)
@@ -343,11 +349,11 @@ class ChainSearch:
         return done
 
     def _combined(self, found: RowSearch, j: int, offset: int) -> float:
-        """What the gains of the nearest atoms prove together at an offset; no solver."""
-        mu, atoms = found.opened[j].mu[offset], self.atoms[j]
-        if (j, offset) not in found.combined and atoms.gains:
+        """What the gains of the nearest directions prove together at an offset; no solver."""
+        mu, directions = found.opened[j].mu[offset], self.directions[j]
+        if (j, offset) not in found.combined and directions.gains:
             found.combined.add((j, offset))
-            atoms.add(mu, self.evaluate(j, mu, combined_gains(self.chain, j, mu, atoms)))
+            directions.add(mu, self.evaluate(j, mu, combined_gains(self.system, j, mu, directions)))
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
@@ -358,7 +364,7 @@ class ChainSearch:
         self._refresh(found, j)
 
     def _refresh(self, found: RowSearch, j: int) -> None:
-        found.nodes[j], found.panels[j] = found.opened[j].bound(self.atoms[j])
+        found.nodes[j], found.panels[j] = found.opened[j].bound(self.directions[j])
         found.lower = max(found.lower, self._reached(found, j))
 
     def _both_sides_at(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
@@ -388,7 +394,7 @@ class ChainSearch:
             ratio, j, offset = max((r, j, o) for j, (r, o) in slack.items())
             if ratio <= PROFILE or self.budget.over:
                 break
-            if (j, offset) in found.combined or not self.atoms[j].gains:
+            if (j, offset) in found.combined or not self.directions[j].gains:
                 self._node(found, j, offset)
             else:
                 self._combined(found, j, offset)
@@ -440,10 +446,10 @@ class ChainSearch:
         return float(ratio[best]), int(left[best])
 
 
-def combined_gains(chain: SampleChain, j: int, mu: Array, atoms: BoundedDirections) -> tuple[Array, ...]:
-    """Return gains for mu'z_j put together from those of the nearest atoms, the latest sample last."""
-    fit = atoms.fit(mu[None])
-    parts = [[a * g for g in atoms.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
-    empty = [np.zeros(len(chain.samples[k].H)) for k in chain.latest(j, max(map(len, parts)))]
+def combined_gains(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> tuple[Array, ...]:
+    """Return gains for mu'z_j put together from those of the nearest directions, the latest sample last."""
+    fit = directions.fit(mu[None])
+    parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
+    empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]
     both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
     return tuple(a + b for a, b in zip(*both, strict=True))

@@ -21,8 +21,8 @@ from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenS
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, make_gap
-from sampling_design.accuracy.search import TOLERANCE, ChainSearch, RowAdversary, RowSearch
+from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, make_gap
+from sampling_design.accuracy.search import TOLERANCE, GainSearch, RowAdversary, RowSearch
 from sampling_design.accuracy.start import ErrorReach
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, physical
@@ -47,7 +47,7 @@ FARTHEST = 64  # samples back of the gains that bound what a tolerance adds, at 
 MOVED = 3  # turns in which the worst times and the disturbance that does most at them are sought
 
 
-def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
+def refuse_tolerance(question: AccuracyQuestion, stochastic: bool) -> None:
     """Refuse a tolerance that does not keep samples in order and in the schedule, or what is of exact times only.
 
     Raises ArgumentError.
@@ -57,7 +57,7 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
     late.require_order(float(np.min(gaps, initial=np.inf)) * (1 - KEPT))
     if late and (question.bounds.w_centre is not None or question.bounds.v_centre is not None):
         raise ArgumentError("`timing_tolerance` is for bounds centred at 0. Subtract their middle from the data.")
-    if spread:
+    if stochastic:
         raise ArgumentError(
             "`timing_tolerance` and `result_delay` are for errors that are guaranteed: leave out these, or "
             "`w_intensity` and `v_deviation`."
@@ -91,9 +91,9 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
     kept: tuple[Array, Array] | None = None
     for turn in range(TURNS):
-        search = ChainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
-        if search.chain.start is None:
-            search.back = int(np.clip(search.chain.memory, search.back, FARTHEST))
+        search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
+        if search.system.start is None:
+            search.back = int(np.clip(search.system.memory, search.back, FARTHEST))
         found = added(search, question, known, seek=not budget.over)
         if not np.isfinite(found).all():
             break
@@ -124,8 +124,8 @@ def is_enough(noise: Array, found: Array, room: float = MORE / 2) -> bool:
     return bool(np.all((noise >= found * (1 + room)) | (found == 0)))
 
 
-def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
-    """Return g (N, p): what samples add at most that come so early or late, by the atoms of a search, or new ones."""
+def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
+    """Return g (N, p): what samples add at most that come so early or late, by directions of a search, or new ones."""
     late, g = question.timing_tolerance, np.zeros_like(question.bounds.v)
     forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
@@ -142,7 +142,7 @@ def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart
 
 
 def sample_adds(
-    search: ChainSearch, j: int, row: Array, sides: tuple[float, float],
+    search: GainSearch, j: int, row: Array, sides: tuple[float, float],
     known: tuple[KnownIntegrals, KnownIntegrals], seek: bool,
 ) -> float:  # fmt: skip
     """Return what sample j of an output adds at most that is so late or early; `row` (n,) is that of x.
@@ -153,10 +153,10 @@ def sample_adds(
     for back, (late, table) in enumerate(zip(sides, known, strict=True)):
         if not late:
             continue
-        opened = moved_row(search.chain, j, row, late, bool(back), table)
+        opened = moved_row(search.system, j, row, late, bool(back), table)
         if seek:
             search.gains(j, opened.mu[-1])
-        most = max(most, float(opened.bound(search.atoms[j])[1].max()))
+        most = max(most, float(opened.bound(search.directions[j])[1].max()))
     return most
 
 
@@ -170,37 +170,37 @@ def _powers(A: Array) -> list[Array]:
 
 
 def moved_row(
-    chain: SampleChain, j: int, row: Array, late: float, back: bool, known: KnownIntegrals
+    system: SampledSystem, j: int, row: Array, late: float, back: bool, known: KnownIntegrals
 ) -> RowBetweenSamples:
     """C (e^{Ae} - I) and what w adds for 0 <= e <= `late`, or -`late` <= e <= 0 (`back`), at sample j."""
-    opened = open_row(replace(chain, A=-chain.A) if back else chain, j, row, late, known, PANELS)
+    opened = open_row(replace(system, A=-system.A) if back else system, j, row, late, known, PANELS)
     return replace(opened, mu=opened.mu - opened.mu[0])
 
 
 def moved_witness(
-    search: ChainSearch, question: AccuracyQuestion, found: RowSearch, j: int, offset: int
+    search: GainSearch, question: AccuracyQuestion, found: RowSearch, j: int, offset: int
 ) -> AccuracyWitness:
     """Return a witness at real times that are sought to make a row's error large at an offset after node j.
 
     Moving sample k by e changes the adversary's optimum by -lambda_k'H (A z_k + G w) e to first order: that sign is
     taken, with w in between what it is before and after that sample.
     """
-    count = len(search.chain.nodes(j, search.deep))
+    count = len(search.system.nodes(j, search.deep))
     gains, adversary = search.both_sides(j, found.opened[j].mu[offset])
-    chain, at, shift, until = search.chain, j, np.zeros(1), float(found.opened[j].d[offset])
-    gaps = MovedGaps(chain, search.cell_loss)
+    system, at, shift, until = search.system, j, np.zeros(1), float(found.opened[j].d[offset])
+    gaps = MovedGaps(system, search.cell_loss)
     best: AccuracyWitness | None = None
     for _ in range(MOVED):
-        ahead = open_row(chain, at, found.row, until).mu[-1] @ np.linalg.solve(chain.L[at], chain.G)
-        shift = _worst_times(chain, at, gains, adversary, ahead, question.timing_tolerance, shift)
+        ahead = open_row(system, at, found.row, until).mu[-1] @ np.linalg.solve(system.L[at], system.G)
+        shift = _worst_times(system, at, gains, adversary, ahead, question.timing_tolerance, shift)
         moved, at = _moved_question(question, j, count, shift)
-        chain = gaps.chain(moved)
+        system = gaps.system(moved)
         until = float(found.opened[j].d[offset]) - shift[-1]
-        opened = open_row(chain, at, found.row, until)
-        nodes = chain.nodes(at, count)
-        start = ErrorReach(np.zeros(chain.D.size)) if chain.start is None or nodes[0] else chain.start
-        gains, adversary = ConeWindow(chain, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
-        witness = physical(found.row, opened, RowAdversary(at, adversary, chain), opened.d.size - 1)
+        opened = open_row(system, at, found.row, until)
+        nodes = system.nodes(at, count)
+        start = ErrorReach(np.zeros(system.D.size)) if system.start is None or nodes[0] else system.start
+        gains, adversary = ConeWindow(system, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
+        witness = physical(found.row, opened, RowAdversary(at, adversary, system), opened.d.size - 1)
         witness = admissible(witness, moved)
         if best is not None and witness.value <= best.value * (1 + KEPT):
             break
@@ -210,15 +210,15 @@ def moved_witness(
 
 
 class MovedGaps:
-    """A chain with other gaps between its samples, in its own coordinates: gaps of one length are made once."""
+    """A system with other gaps between its samples, in its own coordinates: gaps of one length are made once."""
 
-    def __init__(self, planned: SampleChain, loss: float):
+    def __init__(self, planned: SampledSystem, loss: float):
         self.planned, self.loss = planned, loss
         self._table = GapTable(planned.A, planned.G, np.ones(len(planned.A)))
-        self._made: dict[tuple[int, int], ChainGap] = {}
+        self._made: dict[tuple[int, int], GapDynamics] = {}
 
-    def chain(self, moved: AccuracyQuestion) -> SampleChain:
-        """The chain of a question whose samples are moved, of some periods of the planned one or of a finite one."""
+    def system(self, moved: AccuracyQuestion) -> SampledSystem:
+        """The system of a question whose samples are moved, of some periods of the planned one or of a finite one."""
         planned, number = self.planned, len(self.planned)
         ends = moved.nodes if moved.initial is not None else np.append(moved.nodes, moved.end)
         tiny, at = 8 * float(np.spacing(np.abs(ends).max())), np.arange(len(moved.nodes)) % number
@@ -228,7 +228,7 @@ class MovedGaps:
             gaps=tuple(gaps), last=moved.end - float(moved.nodes[-1]), known_spans=(), again=(), before=(),
         )  # fmt: skip
 
-    def _gap(self, j: int, h: float, tiny: float) -> ChainGap:
+    def _gap(self, j: int, h: float, tiny: float) -> GapDynamics:
         """One gap after sample j, so long."""
         planned = self.planned
         if abs(planned.gaps[j].length - h) <= tiny:
@@ -241,20 +241,26 @@ class MovedGaps:
 
 
 def _worst_times(
-    chain: SampleChain, at: int, gains: Gains, adversary: Adversary, ahead: Array, late: TimingTolerance, before: Array
+    system: SampledSystem,
+    at: int,
+    gains: Gains,
+    adversary: Adversary,
+    ahead: Array,
+    late: TimingTolerance,
+    before: Array,
 ) -> Array:
     """How late each sample of a window is, the latest last, so that the adversary gains; as before where none does.
 
     `ahead`: what moves the row after the last sample, for which w is largest.
     """
-    nodes = chain.nodes(at, len(adversary.z))
+    nodes = system.nodes(at, len(adversary.z))
     size = float(np.linalg.norm(ahead))
-    last = (ahead / size if size else ahead) if chain.bounds.w_ball else np.sign(ahead)
+    last = (ahead / size if size else ahead) if system.bounds.w_ball else np.sign(ahead)
     cells = [last[None], *adversary.w[::-1], np.zeros((1, last.size))][::-1]
     tilt = np.zeros(len(nodes))
     for k, (node, lam, z) in enumerate(zip(nodes, gains.gains[-len(nodes) :], adversary.z, strict=True)):
-        L, w = chain.L[node], (cells[k][0] + cells[k + 1][-1]) / 2
-        tilt[k] = lam @ chain.samples[node].H @ np.linalg.solve(L, chain.A @ (L @ z) + chain.G @ w)
+        L, w = system.L[node], (cells[k][0] + cells[k + 1][-1]) / 2
+        tilt[k] = lam @ system.samples[node].H @ np.linalg.solve(L, system.A @ (L @ z) + system.G @ w)
     return np.where(tilt == 0, before, np.where(tilt > 0, -late.back.min(), late.forward.min()))
 
 

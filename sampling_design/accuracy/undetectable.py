@@ -41,8 +41,8 @@ class DetectablePart:
 
     def touches(self, row: Array) -> bool:
         """Whether the unknown part changes row'x."""
-        shown = np.abs(row @ self.unknown)
-        return bool(np.any(shown > TOUCHED * (np.abs(row) @ np.abs(self.unknown))))
+        norms = np.abs(row @ self.unknown)
+        return bool(np.any(norms > TOUCHED * (np.abs(row) @ np.abs(self.unknown))))
 
 
 def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) -> DetectablePart:
@@ -116,8 +116,8 @@ def unobservable_modes(A: Array, C: Array) -> tuple[str, ...]:
     C = C / np.where(size > 0, size, 1.0) * max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
     found = []
     for cluster in eigenvalue_clusters(A):
-        shown = np.linalg.svd(np.vstack([A - complex(cluster.value) * np.eye(len(A)), C]), compute_uv=False)
-        if not shown[-1] > UNSEEN * shown[0]:
+        norms = np.linalg.svd(np.vstack([A - complex(cluster.value) * np.eye(len(A)), C]), compute_uv=False)
+        if not norms[-1] > UNSEEN * norms[0]:
             found.append(format_eigenvalue(complex(cluster.value)))
     return tuple(found)
 
@@ -133,9 +133,9 @@ def _scales(plant: Plant, period: float) -> Array:
     times = span * (np.arange(8 * plant.n_states + 1) / (8 * plant.n_states)) ** GOLDEN
     size = np.linalg.norm(plant.C * balance, axis=1, keepdims=True)
     C = plant.C * balance / np.where(size > 0, size, 1.0)
-    seen = C @ (plant.transition(times) * balance / balance[:, None])
-    shown = np.linalg.norm(seen.reshape(-1, plant.n_states), axis=0)
-    return np.asarray(balance / np.where((shown > 0) & np.isfinite(shown), shown, 1.0))
+    outputs_at = C @ (plant.transition(times) * balance / balance[:, None])
+    norms = np.linalg.norm(outputs_at.reshape(-1, plant.n_states), axis=0)
+    return np.asarray(balance / np.where((norms > 0) & np.isfinite(norms), norms, 1.0))
 
 
 def _alike(values: list[complex], period: float) -> list[list[complex]]:
@@ -169,7 +169,7 @@ def _hidden(
     """Combinations of the columns of X that no sample shows."""
     within = X.conj().T @ A @ X - value.real * np.eye(X.shape[1])  # of X alone, its growth taken out: never overflows
     flows = expm_batch(within, np.append(times - times[0], period))  # type: ignore[arg-type]  # complex, as it takes too
-    cycle = np.vstack([C[seen] @ X @ flow for seen, flow in zip(outputs, flows[:-1], strict=True)])
+    cycle = np.vstack([C[outputs_at] @ X @ flow for outputs_at, flow in zip(outputs, flows[:-1], strict=True)])
     M = flows[-1]
     rows = [cycle]
     for _ in range(X.shape[1] - 1):

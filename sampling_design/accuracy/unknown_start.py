@@ -127,10 +127,10 @@ class FreeStart:
         if not np.isfinite(size).all():
             return np.zeros(len(size))
         size = np.where(size > 0, size, 1.0)
-        left, seen, right = np.linalg.svd(rows / size, full_matrices=False)
+        left, singular_values, right = np.linalg.svd(rows / size, full_matrices=False)
         part = left.T @ (residuals / self._unit)
-        needed = (seen > CUT * seen.max(initial=0.0)) & (np.abs(part) > NEAR)
-        return np.asarray(np.where(needed, part / np.where(needed, seen, 1.0), 0.0) @ right / size)
+        needed = (singular_values > CUT * singular_values.max(initial=0.0)) & (np.abs(part) > NEAR)
+        return np.asarray(np.where(needed, part / np.where(needed, singular_values, 1.0), 0.0) @ right / size)
 
     @cached_property
     def _unobservable(self) -> Array:

@@ -10,9 +10,9 @@ import numpy as np
 
 from sampling_design.accuracy.between_samples import RowBetweenSamples
 from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.free_responses import FreeResponses
 from sampling_design.accuracy.search import RowAdversary
 from sampling_design.accuracy.start import InitialSet
-from sampling_design.accuracy.undriven import UndrivenMotions
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -20,7 +20,7 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, Record, short
 
-KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew
+KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is simulated anew
 SHOWN = 1e-9  # what an exact sensor may show, as a share of what w does to it within a cell: rounding and last digits
 
 CLOSED = 1e-13
@@ -42,9 +42,9 @@ class WitnessRun(NamedTuple):
 class AccuracyWitness(Record):
     """A disturbance and a noise that keep their bounds and that no estimator can tell from nothing at all.
 
-    The state starts at 0 (or within what is known at the start; on an endless schedule also on a motion that has gone
-    on for ever without a disturbance, within the noise); every sample shows y = C x + v = 0, so that +x and -x look
-    alike, and any estimator errs by `value` on one of them.
+    The state starts at 0 (or within what is known at the start; on an endless schedule also on a free response that has
+    gone on for ever, within the noise); every sample shows y = C x + v = 0, so that +x and -x look alike, and any
+    estimator errs by `value` on one of them.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class AccuracyWitness(Record):
     def simulate(self, units: Array | None = None) -> WitnessRun:
         """Return what happens: the noise that hides the state at the samples, its end, and the disturbance.
 
-        Every gap is flown anew from the state at its first sample. What rounding leaves open at its end is closed by a
-        change of w within that gap, so that what is returned is one trajectory even where the plant grows: its state at
-        the samples is exactly `states`, its w is `w` but for that change. NaN in w says that no change closes it.
+        Every gap is simulated anew from the state at its first sample. What rounding leaves open at its end is closed
+        by a change of w within that gap, so that what is returned is one trajectory even where the plant grows: its
+        state at the samples is exactly `states`, its w is `w` but for that change. NaN in w: no change closes it.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class AccuracyWitness(Record):
         ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
         z, w = self.states / scale, self.w / size
         cells = np.diff(ends)
-        for count in np.unique(cells[:-1]):  # gaps of equally many cells at once: each is flown from its own state
+        for count in np.unique(cells[:-1]):  # gaps of equally many cells at once: each is simulated from its own state
             at = np.flatnonzero(cells[:-1] == count)
             inside = ends[at][:, None] + np.arange(count)
             ahead, flat = _over_gaps(flows[inside])
@@ -182,8 +182,8 @@ def _least_change(rows: Array, wanted: Array) -> Array:
     if not rows.size:
         return np.zeros((len(rows), rows.shape[2]))
     U, s, V = np.linalg.svd(rows, full_matrices=False)
-    shown = s > np.finfo(float).eps * max(rows.shape[1:]) * s[:, :1]
-    part = np.divide(_times(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=shown)
+    regular = s > np.finfo(float).eps * max(rows.shape[1:]) * s[:, :1]
+    part = np.divide(_times(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=regular)
     return _times(np.swapaxes(V, 1, 2), part)
 
 
@@ -193,7 +193,7 @@ def _times(matrices: Array, vectors: Array) -> Array:
 
 
 def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:
-    """Return row'x at the end of a witness flown anew, and the factor by which w, v and start exceed their bounds.
+    """Return row'x at the end of a witness simulated anew, and the factor by which w, v and start exceed their bounds.
 
     Without `initial` the schedule is endless and the witness starts from rest, or from what has gone on for ever
     without a disturbance, within the noise; with it, one that starts at the first node may start anywhere in that set.
@@ -207,7 +207,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     elif initial is not None and (witness.states[0].any() or witness.last + 1 < len(v)):
         legal = False
     elif witness.states[0].any():
-        begun = UndrivenMotions.of(witness.plant, bounds).excess(witness.states[0])
+        begun = FreeResponses.of(witness.plant, bounds).excess(witness.states[0])
     if not legal or np.isnan(moved).any():
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
@@ -228,14 +228,14 @@ def _excess(size: Array, limit: Array) -> float:
 
 def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary, offset: int) -> AccuracyWitness:
     """Return a row_adversary with its best end after the last sample, in the plant's units."""
-    chain, count = row_adversary.chain, len(row_adversary.adversary.w) + 1
+    system, count = row_adversary.system, len(row_adversary.adversary.w) + 1
     reached = float(opened.mu[offset] @ row_adversary.end)
     sign = -1.0 if reached < 0 else 1.0
-    nodes = chain.latest(row_adversary.sample, count)
-    scale = chain.bounds.w
+    nodes = system.latest(row_adversary.sample, count)
+    scale = system.bounds.w
     edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
     for j, u in zip(nodes[:-1], row_adversary.adversary.w, strict=True):
-        gap = chain.gap(j)
+        gap = system.gap(j)
         edges.append(now + (gap.length - gap.edges[::-1])[1:])
         w.append(sign * u[::-1] * scale)
         now += gap.length
@@ -244,27 +244,28 @@ def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary,
         d = opened.d[: offset + 1]
         if d[0] > 0:
             d = np.append(np.linspace(0.0, d[0], opened.d.size)[:-1], d)
-        moved = forced_flow(chain.A, chain.G, np.diff(d))[:, :, len(chain.D) :]
-        mean = np.einsum("ki,kiq->kq", (row * chain.D) @ expm_batch(chain.A, d[:-1]), moved)
-        if chain.bounds.w_ball:
+        moved = forced_flow(system.A, system.G, np.diff(d))[:, :, len(system.D) :]
+        mean = np.einsum("ki,kiq->kq", (row * system.D) @ expm_batch(system.A, d[:-1]), moved)
+        if system.bounds.w_ball:
             size = np.linalg.norm(mean, axis=1, keepdims=True)
             u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)
         else:
             u = np.sign(mean)
         edges.append(now + (d[-1] - d[::-1])[1:])
         w.append(u[::-1] * scale)
-    measured = np.zeros((len(chain.samples), chain.plant.n_outputs), dtype=bool)
+    measured = np.zeros((len(system.samples), system.plant.n_outputs), dtype=bool)
     for j in set(nodes):
-        measured[j, chain.samples[j].outputs] = True
+        measured[j, system.samples[j].outputs] = True
     return AccuracyWitness(
-        plant=chain.plant,
+        plant=system.plant,
         row=freeze(row),
         edges=freeze(np.concatenate(edges)),
         w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
         samples=freeze(samples),
-        last=chain.sample_of(row_adversary.sample),
+        last=system.sample_of(row_adversary.sample),
         states=freeze(
-            sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, row_adversary.adversary.z, strict=True)])
+            sign
+            * np.array([system.D * (system.L[j] @ z) for j, z in zip(nodes, row_adversary.adversary.z, strict=True)])
         ),
         outputs=measured[nodes],
         value=float(abs(reached) + opened.below[offset]),

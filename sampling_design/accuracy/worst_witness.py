@@ -7,26 +7,26 @@ from dataclasses import replace
 import numpy as np
 
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import ChainSearch, RowSearch
+from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.records.arrays import Array
 
 
-def left_open(question: AccuracyQuestion, finder: ChainSearch | None, upper: Array) -> tuple[str, ...]:
+def left_open(question: AccuracyQuestion, finder: GainSearch | None, upper: Array) -> tuple[str, ...]:
     """Return the eigenvalues that the samples of a finite schedule leave open, if a wanted row is infinite."""
     if finder is None or np.isfinite(upper).all():
         return ()
-    chain, last = finder.chain, finder.chain.spans[-1].node
-    basis = finder.atoms[last].basis
+    system, last = finder.system, finder.system.spans[-1].node
+    basis = finder.directions[last].basis
     free = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
-    return open_modes(question.plant.A, chain.D[:, None] * chain.L[last] @ free)
+    return open_modes(question.plant.A, system.D[:, None] * system.L[last] @ free)
 
 
 def strongest_witness(
-    finder: ChainSearch, row: Array, question: AccuracyQuestion, found: RowSearch
+    finder: GainSearch, row: Array, question: AccuracyQuestion, found: RowSearch
 ) -> tuple[AccuracyWitness, int, int]:
-    """Return the strongest adversary as a witness that is flown anew and made admissible, its sample and its offset."""
+    """Return the strongest adversary as a witness, simulated anew and made admissible, its sample and its offset."""
     best: tuple[AccuracyWitness, int, int] | None = None
     adversaries = []
     for j, opened in found.opened.items():
@@ -50,7 +50,7 @@ def strongest_witness(
 
 
 def admissible(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWitness:
-    """Return a witness flown anew, its gaps closed, so small that it keeps the bounds of a question."""
+    """Return a witness simulated anew, its gaps closed, so small that it keeps the bounds of a question."""
     if question.initial is None and witness.states[0].any():
         witness = witness.propagated()  # rounding that no disturbance closes
     closed = witness.simulate(question.bounds.w).w

@@ -9,9 +9,9 @@ import numpy as np
 
 from sampling_design.accuracy.finite import NO_ERROR
 from sampling_design.accuracy.results_out import ResultsIn, results_in
-from sampling_design.accuracy.sample_chain import ChainGap
+from sampling_design.accuracy.sampled_system import GapDynamics
 from sampling_design.accuracy.start import StartSet
-from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, in_stages, opened
+from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, extended, in_stages
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
@@ -22,7 +22,7 @@ from sampling_design.records.budget import Budget
 
 SETTLED = 2e-3  # a longer past is looked at until it adds less than this share
 LONGEST = 8  # gaps that are looked at where only the longest are
-QUARTERS, LOOKS = 4, 8  # parts of a gap at whose ends it is judged at first, and offsets, at most
+QUARTERS, OFFSETS = 4, 8  # parts of a gap at whose ends it is judged at first, and offsets, at most
 FAR = 0.5  # what is below this share of a level at every quarter of a gap is not looked at elsewhere
 MOST_KNOTS = 400  # samples of the past that one program looks at: its size grows with them
 FEW = 60  # measurements that may be taken, up to which each of them can be looked at by itself
@@ -45,22 +45,22 @@ class GridSpan(NamedTuple):
 class AccuracyOracle:
     """Judges choices of samples of one problem; how far back it looks is found once and kept."""
 
-    def __init__(self, problem: PlanProblem, motion: DiscretePlant):
-        self.problem, self.motion = problem, motion
+    def __init__(self, problem: PlanProblem, discrete: DiscretePlant):
+        self.problem, self.discrete = problem, discrete
         self.back = 0
         self.work = Budget(counted=True)
-        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
+        self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
         self.few = int(problem.allowed.sum()) <= FEW
         """Whether so little may be measured that it can be gone through one by one."""
-        spread = any(goal.spread for goal in problem.goals)
-        self.spread = GridFilter(problem, motion, self.work) if spread else None
+        stochastic = any(goal.stochastic for goal in problem.goals)
+        self.grid_filter = GridFilter(problem, discrete, self.work) if stochastic else None
         self._kept: dict[object, tuple[float, list[HiddenTrajectory]]] = {}
         """What the last choices that were judged came to."""
         self.windows: dict[object, GridWindow] = {}
         """Windows of sequences: most are those of another, later."""
-        self.gaps: dict[object, ChainGap] = {}
+        self.gaps: dict[object, GapDynamics] = {}
         """Gaps of sequences, by their length and the coordinates at both ends."""
-        self.looks: dict[object, float] = {}
+        self.ratios: dict[object, float] = {}
         """The ratio in each stretch of a sequence that was looked at."""
         self._broken_last = 0
         """The goal that was broken last."""
@@ -71,13 +71,13 @@ class AccuracyOracle:
         if work is not self.work:
             work.spend(self.work.spent)
         self.work = work
-        if self.spread is not None:
-            self.spread.work = work
+        if self.grid_filter is not None:
+            self.grid_filter.work = work
 
     @cached_property
     def initial_set(self) -> StartSet:
         """What is known of the error when the plan starts."""
-        T = self.motion.T
+        T = self.discrete.T
         return self.problem.initial.scaled(T, np.linalg.norm(T, axis=1), NO_ERROR)
 
     def judge(
@@ -86,7 +86,7 @@ class AccuracyOracle:
         """Worst ratio and the strongest trajectory of each goal and gap; stops once a gap is worse than `above`.
 
         `longest`: only the longest gaps are looked at, where the worst is found as a rule, unless goals name times.
-        Infinite, without a trajectory, where the choice hides a motion that never decays.
+        Infinite, without a trajectory, where the choice hides a trajectory that never decays.
         """
         key = chosen.tobytes(), self.back, above, longest
         if key not in self._kept:
@@ -140,7 +140,7 @@ class AccuracyOracle:
             return None
         return GridSpan(first + last, begin, length, (first + np.round(each.times).astype(np.intp), each.arrived))
 
-    def elsewhere(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
+    def in_other_gaps(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
         """The strongest one against a goal that is broken in a gap, for each gap but that in which a known one ends."""
         goals = self.problem.guaranteed
         found = list[HiddenTrajectory]()
@@ -155,14 +155,14 @@ class AccuracyOracle:
 
     def _depths(self, chosen: Mask, last: int, above: float) -> list[int]:
         """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
-        if above == np.inf or not self.back or not in_stages(self.motion, self._knots(chosen, last, self.back)):
+        if above == np.inf or not self.back or not in_stages(self.discrete, self._knots(chosen, last, self.back)):
             return [self.back]
         return [self.back // share for share in SHALLOW] + [self.back]
 
     def _deviations(self, chosen: Mask) -> tuple[float, list[HiddenTrajectory]]:
         """Worst ratio of the goals that are standard deviations, and tangents there."""
         worst, found = 0.0, []
-        for g, ratio in enumerate(self.spread.worst(chosen[None])[0] if self.spread else []):
+        for g, ratio in enumerate(self.grid_filter.worst(chosen[None])[0] if self.grid_filter else []):
             if ratio > 0:
                 worst = max(worst, float(ratio))
                 trajectory = self.tangent(chosen.astype(float), g)
@@ -171,16 +171,16 @@ class AccuracyOracle:
 
     def tangent(self, z: Array, g: int) -> HiddenTrajectory | None:
         """A tangent of a goal's variance at a point (M, p), fractions of measurements too."""
-        return None if self.spread is None else self.spread.tangent(z, g)
+        return None if self.grid_filter is None else self.grid_filter.tangent(z, g)
 
     def hidden(self, chosen: Mask) -> UndetectedModes | None:
         """What a choice does not see and what never decays; None if it sees all of that."""
         goals = self.problem.goals
-        for kind, outputs in ((False, self.motion.H), (True, self.motion.S)):
-            mine = np.array([goal.spread == kind for goal in goals], dtype=bool)
+        for kind, outputs in ((False, self.discrete.H), (True, self.discrete.S)):
+            mine = np.array([goal.stochastic == kind for goal in goals], dtype=bool)
             if mine.any():
                 always = np.array([goal.at == "all times" for goal in goals], dtype=bool)[mine]
-                found = hidden_at(self.motion, chosen, self.rows[mine], always, outputs)
+                found = hidden_at(self.discrete, chosen, self.rows[mine], always, outputs)
                 if found is not None:
                     return found
         return None
@@ -193,21 +193,23 @@ class AccuracyOracle:
         last, length = span.last, span.length
         best: list[HiddenTrajectory] = []
         for g in sorted(goals, key=lambda g: g != self._broken_last):
-            looks = self.looked(window, g, last, length, above, begin=span.begin)
-            trajectory = self._trajectory(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
+            ratios = self.ratios_at(window, g, last, length, above, begin=span.begin)
+            trajectory = (
+                self._trajectory(window, last, max(ratios, key=lambda o: (ratios[o], o)), g) if ratios else None
+            )
             best += [trajectory] if trajectory is not None else []
             if self.few and trajectory is not None and trajectory.reach > above:
                 self._broken_last = g
                 break
         return best
 
-    def ending(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
+    def ending_with(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
         """The strongest trajectory that ends where another one does and that a choice hides; None up to a level."""
         if self.problem.unread_steps is None:
             at = np.flatnonzero(chosen.any(axis=1))
             since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)
             length = int(since.min(initial=self.problem.steps + 1))
-            if length > (0 if trajectory.at_sample else self.motion.longest):
+            if length > (0 if trajectory.at_sample else self.discrete.longest):
                 return None
             span = GridSpan(int(at[np.argmin(since)]), 0, length)
         else:
@@ -217,7 +219,7 @@ class AccuracyOracle:
             if whole is None:
                 return None
             length = whole.begin + (trajectory.end - whole.last - whole.begin) % self.problem.steps
-            if length > self.motion.longest:
+            if length > self.discrete.longest:
                 return None
             span = whole._replace(length=length)
         window = self._window(chosen, span, self.back)
@@ -225,8 +227,8 @@ class AccuracyOracle:
             return None
         return self._trajectory(window, span.last, length, trajectory.goal)
 
-    def drifting(self, undetected: UndetectedModes, level: float) -> HiddenTrajectory | None:
-        """A motion that reaches a level since nothing outside `undetected.where` shows it, however long it drifts.
+    def drifting_trajectory(self, undetected: UndetectedModes, level: float) -> HiddenTrajectory | None:
+        """A trajectory that reaches a level since nothing outside `undetected.where` shows it, however long it drifts.
 
         None where w does not drive it, or only slowly.
         """
@@ -240,9 +242,9 @@ class AccuracyOracle:
         while back <= FARTHEST * self.problem.steps and knots < MOST_KNOTS:
             window = self._window(hidden, span, back)
             for g in goals:
-                looks = self.looked(window, g, last, length, level, begin=span.begin)
-                if max(looks.values(), default=0.0) > level:
-                    trajectory = self._trajectory(window, last, max(looks, key=lambda o: (looks[o], o)), g)
+                ratios = self.ratios_at(window, g, last, length, level, begin=span.begin)
+                if max(ratios.values(), default=0.0) > level:
+                    trajectory = self._trajectory(window, last, max(ratios, key=lambda o: (ratios[o], o)), g)
                     if trajectory is not None and trajectory.reach > level:
                         return trajectory
             if len(window.knots) == knots:
@@ -250,7 +252,7 @@ class AccuracyOracle:
             back, knots = 2 * back, len(window.knots)
         return None
 
-    def looked(
+    def ratios_at(
         self,
         window: GridWindow,
         g: int,
@@ -264,12 +266,12 @@ class AccuracyOracle:
     ) -> dict[int, float]:
         """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
 
-        Where it holds at all times: at every quarter, then wherever the flights found so far, each of which can end at
-        any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`. Unless
+        Where it holds at all times: at every quarter, then wherever the responses found so far, each of which can end
+        at any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`. Unless
         `closely`, only at the end. Offsets below `begin` are left out, and those of which it is clear that they are no
         worse than what is `known`.
         """
-        goal, length = self.problem.goals[g], min(length, self.motion.longest)
+        goal, length = self.problem.goals[g], min(length, self.discrete.longest)
         begin = min(begin, length)
         if goal.at == "after each sample":
             return {} if begin else {0: self.reach(window, 0, g)}
@@ -284,7 +286,7 @@ class AccuracyOracle:
         for offset in [*dict.fromkeys(ends), *sorted(within - {*ends})]:
             if known == -np.inf or self._at_most(window, offset, g) > known:
                 found[offset] = self.reach(window, offset, g)
-        while closely and found and len(found) < LOOKS and not (above < np.inf and max(found.values()) < FAR * above):
+        while closely and found and len(found) < OFFSETS and not (above < np.inf and max(found.values()) < FAR * above):
             rows = np.array([self._opened(offset, g)[0] for offset in range(begin, length + 1)])
             added = np.array([more for _, more in self._open[g][begin : length + 1]])
             attained = np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added
@@ -297,11 +299,11 @@ class AccuracyOracle:
     def _window(self, chosen: Mask, span: GridSpan, back: int) -> GridWindow:
         """The window of samples of an endless schedule up to a step, without what is out."""
         knots = self._knots(chosen, span.last, back)
-        seen = chosen[knots % self.problem.steps]
+        measured = chosen[knots % self.problem.steps]
         if span.out is not None:
             count = min(len(span.out[0]), len(knots))
-            seen = np.concatenate([seen[: len(knots) - count], span.out[1][len(span.out[1]) - count :]])
-        return GridWindow(self.motion, knots, seen)
+            measured = np.concatenate([measured[: len(knots) - count], span.out[1][len(span.out[1]) - count :]])
+        return GridWindow(self.discrete, knots, measured)
 
     def _knots(self, chosen: Mask, last: int, back: int) -> Index:
         """The steps of its samples."""
@@ -310,7 +312,7 @@ class AccuracyOracle:
         periods = back // steps + 1
         knots = np.concatenate([at + period * steps for period in range(-periods, 1)])
         knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
-        long = np.flatnonzero(np.diff(knots) > self.motion.longest)
+        long = np.flatnonzero(np.diff(knots) > self.discrete.longest)
         return knots[long[-1] + 1 :] if long.size else knots
 
     def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> None:
@@ -324,7 +326,7 @@ class AccuracyOracle:
             before, back = now, 2 * back
         self.back = back
 
-    def farther(self, chosen: Mask) -> bool:
+    def lengthen_past(self, chosen: Mask) -> bool:
         """Look twice as far back, and over two gaps of a choice at least, unless that is as far as can be."""
         if not self.back or self.back >= FARTHEST * self.problem.steps:
             return False
@@ -337,9 +339,9 @@ class AccuracyOracle:
         known = self._open[g]
         while len(known) <= offset:
             row, total = known[-1]
-            along = row @ self.motion.Gamma
-            size = float(np.linalg.norm(along) if self.motion.ball else np.abs(along).sum())
-            known.append((row @ self.motion.F, total + size))
+            along = row @ self.discrete.Gamma
+            size = float(np.linalg.norm(along) if self.discrete.ball else np.abs(along).sum())
+            known.append((row @ self.discrete.F, total + size))
         return known[offset]
 
     def reach(self, window: GridWindow, offset: int, g: int) -> float:
@@ -356,32 +358,34 @@ class AccuracyOracle:
 
     def _trajectory(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
         """The strongest trajectory against a goal, so many steps after the last sample of a window."""
-        flight = window.strongest(self._opened(offset, g)[0])
-        if flight is None:
+        response = window.strongest(self._opened(offset, g)[0])
+        if response is None:
             return None
-        flight = opened(self.motion, flight, self.rows[g], offset)
-        return self.scaled(flight, g, last + offset, offset == 0 and self.problem.unread_steps is None, window)
+        response = extended(self.discrete, response, self.rows[g], offset)
+        return self.scaled(response, g, last + offset, offset == 0 and self.problem.unread_steps is None, window)
 
     def scaled(
-        self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: GridWindow | None = None
+        self, response: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: GridWindow | None = None
     ) -> HiddenTrajectory | None:
         """A trajectory made admissible, with what would be seen of it."""
         goal: RowGoal = self.problem.goals[g]
-        outputs = flight.path @ self.motion.H.T
-        factor = flight.size(self.motion.ball)
+        outputs = response.path @ self.discrete.H.T
+        factor = response.size(self.discrete.ball)
         if window is not None:
-            measured = np.abs(outputs[window.knots - window.knots[0]])[window.seen]
-            factor = max(factor, float(np.max(measured, initial=0.0)))
+            sampled = np.abs(outputs[window.knots - window.knots[0]])[window.measured]
+            factor = max(factor, float(np.max(sampled, initial=0.0)))
         factor *= SCALED
         if factor <= 0:
             return None
-        flight = DisturbedTrajectory(flight.w / factor, flight.knots, flight.states / factor, flight.path / factor)
-        reach = float(self.rows[g] @ flight.path[-1]) / goal.tolerance
+        response = DisturbedTrajectory(
+            response.w / factor, response.knots, response.states / factor, response.path / factor
+        )
+        reach = float(self.rows[g] @ response.path[-1]) / goal.tolerance
         if reach <= 0:
             return None
         steps = self.problem.steps
         return HiddenTrajectory(
-            g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample, self.problem.unread_steps), flight
+            g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample, self.problem.unread_steps), response
         )
 
     def weakly_observable(
@@ -392,20 +396,20 @@ class AccuracyOracle:
         Looks at every so many steps, and at those of `known`; `weights` (M, p) are the prices of being seen.
         """
         steps = self.problem.steps
-        measured = np.flatnonzero(known.any(axis=1))
+        sampled = np.flatnonzero(known.any(axis=1))
         grid = np.arange(end - back, end + 1)
-        keep = (np.arange(back, -1, -1) % every == 0) | np.isin(grid % steps, measured)
+        keep = (np.arange(back, -1, -1) % every == 0) | np.isin(grid % steps, sampled)
         keep[0] = True
         knots = grid[keep]
-        seen, excess = known[knots % steps].copy(), weights[knots % steps].copy()
+        measured, excess = known[knots % steps].copy(), weights[knots % steps].copy()
         out = (end - knots)[:, None] <= (
-            np.zeros(seen.shape[1]) if self.problem.unread_steps is None else self.problem.unread_steps
+            np.zeros(measured.shape[1]) if self.problem.unread_steps is None else self.problem.unread_steps
         )
-        seen[out] = False
-        excess[seen | out] = 0.0
-        window = GridWindow(self.motion, knots, seen, excess)
+        measured[out] = False
+        excess[measured | out] = 0.0
+        window = GridWindow(self.discrete, knots, measured, excess)
         self.work.add(EXCESS, window.entries)
-        flight = window.least_observable(self.rows[g], level * self.problem.goals[g].tolerance)
-        if flight is None:
+        response = window.least_observable(self.rows[g], level * self.problem.goals[g].tolerance)
+        if response is None:
             return None
-        return self.scaled(flight, g, end, False, window)
+        return self.scaled(response, g, end, False, window)

@@ -1,9 +1,9 @@
-"""The strongest motion that a choice of samples does not show: the adversary's program on the grid.
+"""The strongest trajectory that a choice of samples does not show: the adversary's program on the grid.
 
     maximise  c'z_e   over |w| <= 1, z_0 = 0, |H_j z_i| <= 1 wherever (i, j) is measured
 
-and the least observable one, which reaches a level with as little to be seen anywhere as can be. Either is flown anew
-and scaled until it is admissible: what comes of it never depends on the solver.
+and the least observable one, which reaches a level with as little to be seen anywhere as can be. Either is simulated
+anew and scaled until it is admissible: what comes of it never depends on the solver.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ SPANNED, INDEPENDENT = 3, 1e-6
 taken for dependent."""
 
 SAME = 1 - 1e-12  # two directions are one if their cosine is beyond this
-BEYOND = 1 + 1e-4  # a least_observable motion reaches this much more than asked, so that scaling leaves it above
+BEYOND = 1 + 1e-4  # a least_observable trajectory reaches this much more than asked, so that scaling leaves it above
 
 
 @dataclass(frozen=True, eq=False)
 class DisturbedTrajectory:
-    """A motion from rest, with w constant over each step."""
+    """A trajectory from rest, with w constant over each step."""
 
     w: Array  # (T, q): in units of the bound
     knots: Index  # (K,): steps at which the state is given, the first 0
     states: Array  # (K, n): z there
-    path: Array  # (T+1, n): z at every step, flown from the knots
+    path: Array  # (T+1, n): z at every step, simulated from the knots
 
     def size(self, ball: bool) -> float:
         """The largest |w|."""
@@ -50,14 +50,14 @@ class DisturbedTrajectory:
         return float(np.max(sizes, initial=0.0))
 
 
-def in_stages(motion: DiscretePlant, knots: Index) -> bool:
+def in_stages(discrete: DiscretePlant, knots: Index) -> bool:
     """Whether a window of samples at `knots` is so large that it is solved stage by stage."""
-    many = sum(len(motion.gap(int(d))[2]) for d in np.diff(knots)) * motion.G.shape[1]
-    return not motion.ball and many > MANY
+    many = sum(len(discrete.gap(int(d))[2]) for d in np.diff(knots)) * discrete.G.shape[1]
+    return not discrete.ball and many > MANY
 
 
 class GridWindow:
-    """Samples at `knots` (steps, increasing), each measuring `seen` (K, p); the motion starts at rest at knots[0].
+    """Samples at `knots` (steps, increasing), each with its `measured` (K, p); all starts at rest at knots[0].
 
     Or in the set `start` of z there, which may leave it free: what is then wanted may be unbounded.
     `excess`: (K, p) weights; where not zero, an output may exceed its bound, and its excess is what is minimised.
@@ -65,15 +65,15 @@ class GridWindow:
 
     def __init__(
         self,
-        motion: DiscretePlant,
+        discrete: DiscretePlant,
         knots: Index,
-        seen: Mask,
+        measured: Mask,
         excess: Array | None = None,
         start: StartSet | None = None,
     ):
-        self.motion, self.knots, self.seen, self.excess, self.start = motion, knots, seen, excess, start
-        n, q = motion.n, motion.G.shape[1]
-        self._gaps = [motion.gap(int(d)) for d in np.diff(knots)]
+        self.discrete, self.knots, self.measured, self.excess, self.start = discrete, knots, measured, excess, start
+        n, q = discrete.n, discrete.G.shape[1]
+        self._gaps = [discrete.gap(int(d)) for d in np.diff(knots)]
         self._w_at = np.concatenate([[0], np.cumsum([len(cells) * q for _, _, cells in self._gaps])]).astype(int)
         self._w_at += n * len(knots)
         self._slack_at = int(self._w_at[-1])
@@ -83,31 +83,31 @@ class GridWindow:
         self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
         self._spanned: tuple[int, Array, Array] | None = None
         self._stages: StageProgram | None = None
-        if excess is None and start is None and in_stages(motion, knots):
-            seen_rows = [motion.H[chosen] for chosen in seen]
-            self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
+        if excess is None and start is None and in_stages(discrete, knots):
+            measured_rows = [discrete.H[chosen] for chosen in measured]
+            self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], measured_rows)
             self.price, self.entries = STAGES, int(len(knots) * n**1.5)
         else:
             self._build(soft)
 
     def _build(self, soft: list[int]) -> None:
         self._built = True
-        motion, n, q = self.motion, self.motion.n, self.motion.G.shape[1]
+        discrete, n, q = self.discrete, self.discrete.n, self.discrete.G.shape[1]
         table, w = ConeTable(self._columns), int(self._w_at[0])
         F, B = (np.array([gap[0] for gap in self._gaps]).reshape(-1, n, n), [gap[1] for gap in self._gaps])
         if self.start is None:
             table.add(np.zeros(n), (0, np.eye(n)))
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, w)
         table.end("zero")
-        slack, opening = self._slack_at, None if self.start is None else self.start.S
+        slack, start_rows = self._slack_at, None if self.start is None else self.start.S
         ball = self.start is not None and self.start.ball
-        if opening is not None and not ball:
-            table.box(0, opening, np.ones(len(opening)))
+        if start_rows is not None and not ball:
+            table.box(0, start_rows, np.ones(len(start_rows)))
         for k in range(len(self.knots)):
-            hard = motion.H[self.seen[k]]
+            hard = discrete.H[self.measured[k]]
             table.box(k * n, hard, np.ones(len(hard)))
             if soft and soft[k] and self.excess is not None:
-                loose, m = motion.H[self.excess[k] > 0], soft[k]
+                loose, m = discrete.H[self.excess[k] > 0], soft[k]
                 both = np.vstack([-np.eye(m), -np.eye(m)])
                 table.add(np.ones(2 * m), (k * n, np.vstack([loose, -loose])), (slack, both))
                 table.add(np.zeros(m), (slack, -np.eye(m)))
@@ -115,15 +115,15 @@ class GridWindow:
         if self.excess is not None:
             self._reach_at = table.add(np.zeros(1), ((len(self.knots) - 1) * n, np.ones((1, n))))  # set when solved
         many = int(self._w_at[-1]) - w
-        if not motion.ball:
+        if not discrete.ball:
             table.unit_box(w, many)
         if not table.rows:  # nothing is known and nothing read: a program needs a row
             table.add(np.ones(1), (0, np.zeros((1, n))))
         table.end("nonnegative")
-        if motion.ball and many:
+        if discrete.ball and many:
             table.unit_balls(w, q, many // q)
-        if opening is not None and ball:
-            table.ball(0, opening)
+        if start_rows is not None and ball:
+            table.ball(0, start_rows)
         self._b, self._A, self._cones = table.b(), table.matrix(), table.cones
         self.price, self.entries = CONE, int(self._A.nnz)
         self._solver: ConeSolver | None = None
@@ -141,9 +141,9 @@ class GridWindow:
     def _freshly(self, mu: Array) -> tuple[Array, Array, str]:
         cost = np.zeros(self._columns)
         size = float(np.linalg.norm(mu))
-        n, K = self.motion.n, len(self.knots)
+        n, K = self.discrete.n, len(self.knots)
         if self._stages is not None and size:
-            found = self._stages.solve(mu, [np.zeros(np.count_nonzero(seen)) for seen in self.seen], STAGED)
+            found = self._stages.solve(mu, [np.zeros(np.count_nonzero(measured)) for measured in self.measured], STAGED)
             if found.gap <= STALLED:
                 return np.concatenate([found.z.ravel(), *found.u]), np.zeros(0), SOLVED
         if not self._built:
@@ -159,13 +159,13 @@ class GridWindow:
         x, _, status = self._solved(mu)
         if self.start is not None and status == UNBOUNDED:
             return np.inf
-        n, K = self.motion.n, len(self.knots)
+        n, K = self.discrete.n, len(self.knots)
         usable = status not in (INFEASIBLE, UNBOUNDED) and np.isfinite(x).all()
         return float(mu @ x[(K - 1) * n : K * n]) if usable else 0.0
 
     def ends(self) -> Array:
-        """Where the flights solved so far are at the last knot (m, n)."""
-        n, K = self.motion.n, len(self.knots)
+        """Where the responses solved so far are at the last knot (m, n)."""
+        n, K = self.discrete.n, len(self.knots)
         usable = [x for _, (x, _, status) in self._known if status not in (INFEASIBLE, UNBOUNDED)]
         ends = np.array([x[(K - 1) * n : K * n] for x in usable]).reshape(-1, n)
         return np.asarray(ends[np.isfinite(ends).all(axis=1)], dtype=np.float64)
@@ -175,7 +175,7 @@ class GridWindow:
 
         The largest mu'z is sublinear in mu: at most sum |a_i| times those of mu_i, if mu = sum a_i mu_i.
         """
-        n, count = self.motion.n, len(self._known)
+        n, count = self.discrete.n, len(self._known)
         if n > SPANNED or count < n:
             return np.full(len(rows), np.inf)
         if self._spanned is None or self._spanned[0] != count:
@@ -189,12 +189,12 @@ class GridWindow:
         return np.asarray(np.min(np.einsum("sim,si->sm", np.abs(shares @ rows.T), sizes), axis=0, initial=np.inf))
 
     def strongest(self, mu: Array) -> DisturbedTrajectory | None:
-        """The motion with the largest mu'z at the last knot."""
+        """The trajectory with the largest mu'z at the last knot."""
         return self._trajectory(self._solved(mu))
 
     def least_observable(self, mu: Array, level: float) -> DisturbedTrajectory | None:
-        """The motion that reaches mu'z >= level at the last knot with the least excess."""
-        n, K = self.motion.n, len(self.knots)
+        """The trajectory that reaches mu'z >= level at the last knot with the least excess."""
+        n, K = self.discrete.n, len(self.knots)
         assert self.excess is not None
         A = self._A.tolil()
         A[self._reach_at, (K - 1) * n : K * n] = -mu / level
@@ -206,11 +206,11 @@ class GridWindow:
         return self._trajectory((np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status))
 
     def _trajectory(self, solved: tuple[Array, Array, str]) -> DisturbedTrajectory | None:
-        """The solver's disturbance flown from the solver's states, gap by gap, every gap closed by a change of w."""
+        """The solver's disturbance simulated from its states, gap by gap, every gap closed by a change of w."""
         x, _, status = solved
         if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(x).all():
             return None
-        motion, n, q, K = self.motion, self.motion.n, self.motion.G.shape[1], len(self.knots)
+        discrete, n, q, K = self.discrete, self.discrete.n, self.discrete.G.shape[1], len(self.knots)
         states = x[: n * K].reshape(K, n).copy()
         states[0] = 0.0
         w = []
@@ -221,13 +221,13 @@ class GridWindow:
             states[k + 1] = self._gaps[k][0] @ states[k] + blocks @ u
             w.append(np.repeat(u.reshape(len(cells), q), cells, axis=0))
         steps = np.concatenate(w) if w else np.zeros((0, q))
-        return fly(motion, self.knots - self.knots[0], states, steps)
+        return forced_response(discrete, self.knots - self.knots[0], states, steps)
 
 
-def fly(motion: DiscretePlant, knots: Index, states: Array, w: Array) -> DisturbedTrajectory:
-    """Return the path over every step, flown from each knot to the next."""
-    path = np.empty((len(w) + 1, motion.n))
-    F, Gamma = motion.F, motion.Gamma
+def forced_response(discrete: DiscretePlant, knots: Index, states: Array, w: Array) -> DisturbedTrajectory:
+    """Return the path over every step, simulated from each knot to the next."""
+    path = np.empty((len(w) + 1, discrete.n))
+    F, Gamma = discrete.F, discrete.Gamma
     driven = w @ Gamma.T
     ends = [*knots[1:].tolist(), len(w)]
     path[0] = states[0]
@@ -238,15 +238,15 @@ def fly(motion: DiscretePlant, knots: Index, states: Array, w: Array) -> Disturb
     return DisturbedTrajectory(w, knots, states, path)
 
 
-def opened(motion: DiscretePlant, flight: DisturbedTrajectory, mu: Array, steps: int) -> DisturbedTrajectory:
-    """Continue a flight over an open end of so many steps with the w that moves mu'z furthest at its end."""
+def extended(discrete: DiscretePlant, response: DisturbedTrajectory, mu: Array, steps: int) -> DisturbedTrajectory:
+    """Continue a response over an open end of so many steps with the w that moves mu'z furthest at its end."""
     if steps == 0:
-        return flight
-    q = motion.G.shape[1]
+        return response
+    q = discrete.G.shape[1]
     w, row = np.zeros((steps, q)), mu
     for i in range(steps - 1, -1, -1):
-        along = row @ motion.Gamma
+        along = row @ discrete.Gamma
         size = float(np.linalg.norm(along))
-        w[i] = (along / size if size > 0 else 0.0) if motion.ball else np.sign(along)
-        row = row @ motion.F
-    return fly(motion, flight.knots, flight.states, np.concatenate([flight.w, w]))
+        w[i] = (along / size if size > 0 else 0.0) if discrete.ball else np.sign(along)
+        row = row @ discrete.F
+    return forced_response(discrete, response.knots, response.states, np.concatenate([response.w, w]))

@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
-from sampling_design.planning.covering import CoveringRows, CoverModel, Key, relaxed
+from sampling_design.planning.covering import CoveringProgram, CoveringRows, Key, relaxed
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.planning.work_prices import RELAXED
@@ -33,58 +33,60 @@ MANY = 60  # rows beyond which those that a point keeps easily are left out, and
 EASY = 0.05  # a row is kept easily by this much more than it asks for
 ADDED = 8  # rows that are added at a node at a time
 FLAT = 1e-6  # rows that raise a node by no more than this share are the last, unless they exclude a choice
-BELOW = 1 - 1e-6  # a level this much below what a motion reaches that all that is allowed hides is out of reach
+BELOW = 1 - 1e-6  # a level this much below what a trajectory reaches that all that is allowed hides is out of reach
 ENDS = 6  # ends of one trajectory that are added at a time
 
 Finder: TypeAlias = Callable[[Array, float], None]
 
 
 def separated(
-    cover: CoveringRows, pool: HiddenTrajectories, level: float, keys: list[Key], work: Budget, below: float = np.inf
+    covering: CoveringRows, pool: HiddenTrajectories, level: float, keys: list[Key], work: Budget, below: float = np.inf
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
     keys = [key for key in keys if pool.trajectories[key[0]].reach >= level]
     views = {
-        a: cover.view(trajectory, level) for a, trajectory in enumerate(pool.trajectories) if trajectory.reach >= level
+        a: covering.view(trajectory, level)
+        for a, trajectory in enumerate(pool.trajectories)
+        if trajectory.reach >= level
     }
-    low, high = np.zeros(cover.columns), cover.ceiling(below)
-    price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
+    low, high = np.zeros(covering.columns), covering.ceiling(below)
+    price = OPEN_ROW * float(np.max(covering.cost, initial=1.0))
     x = low
     for _ in range(SEPARATIONS):
-        model = cover.model(pool.trajectories, keys, level)
+        model = covering.model(pool.trajectories, keys, level)
         x, _, _ = _relaxed(model, low, high, price, work)
-        fresh = _violated(cover, pool, views, x, set(keys))
+        fresh = _violated(covering, pool, views, x, set(keys))
         if not fresh or work.over:
             break
         if len(keys) > MANY:  # rows that the point keeps easily may come back when one breaks them
-            frame = cover.frame[0].shape[0]
+            frame = covering.frame[0].shape[0]
             slack = (model.A @ x - model.b)[frame:]
             keys = [key for key, s in zip(keys, slack.tolist(), strict=True) if s <= EASY]
         keys += fresh[:MANY]
     return keys, x
 
 
-def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: Budget) -> tuple[Array, Array, float]:
+def _relaxed(model: CoveringProgram, low: Array, high: Array, price: float, work: Budget) -> tuple[Array, Array, float]:
     """The relaxation, counted."""
     work.add(RELAXED, model.A.nnz)
     return relaxed(model, low, high, price)
 
 
 def _violated(
-    cover: CoveringRows, pool: HiddenTrajectories, views: dict[int, Array], x: Array, known: set[Key]
+    covering: CoveringRows, pool: HiddenTrajectories, views: dict[int, Array], x: Array, known: set[Key]
 ) -> list[Key]:
     """Ends at which a fractional point sees too little of a trajectory, first where it sees least."""
     steps = pool.steps
-    z = cover.coverage(x)
+    z = covering.coverage(x)
     spectrum = np.fft.rfft(z, axis=0)
     fresh: list[tuple[float, Key]] = []
     for a, view in views.items():
         trajectory = pool.trajectories[a]
-        seen = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
+        coverage = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
         asked = pool.ends[trajectory.goal].astype(float)
         if trajectory.at_sample:
-            asked = asked * np.where(cover.sample_of >= 0, x[cover.sample_of], 0.0)
-        short = asked - seen
+            asked = asked * np.where(covering.sample_of >= 0, x[covering.sample_of], 0.0)
+        short = asked - coverage
         ends = np.flatnonzero(short > 1e-4)
         order = ends[np.argsort(-short[ends], kind="stable")]
         taken: list[int] = []
@@ -99,7 +101,7 @@ def _violated(
 
 
 def prove_cost(
-    cover: CoveringRows,
+    covering: CoveringRows,
     pool: HiddenTrajectories,
     level: float,
     target: float,
@@ -114,38 +116,38 @@ def prove_cost(
     `find` is asked for trajectories against a point that the rows so far do not exclude. `decide`: nothing below the
     target is of use, so that the proof ends with the first choice that costs less.
     """
-    counted = _counted(cover, pool, level, target, work, find)
+    counted = _counted(covering, pool, level, target, work, find)
     if counted is not None:
         return counted
-    found, _ = separated(cover, pool, level, list(keys or []), work, target)
-    prover = _Prover(cover, pool, level, target, found, work, find=find, decide=decide)
+    found, _ = separated(covering, pool, level, list(keys or []), work, target)
+    prover = _CostProver(covering, pool, level, target, found, work, find=find, decide=decide)
     proof = prover.proof()
     if decide or proof.value >= target or work.over:
         return proof
     half, keys = work.share(0.5), list(proof.keys)
-    closed = _Prover(cover, pool, level, target, keys, half, find=find, decide=True, most=CLOSED_NODES)
+    closed = _CostProver(covering, pool, level, target, keys, half, find=find, decide=True, most=CLOSED_NODES)
     return max(proof, closed.proof(), key=lambda each: each.value)
 
 
 def _counted(
-    cover: CoveringRows, pool: HiddenTrajectories, level: float, target: float, work: Budget, find: Finder | None
+    covering: CoveringRows, pool: HiddenTrajectories, level: float, target: float, work: Budget, find: Finder | None
 ) -> CostProof | None:
     """The proof where nothing but the number of samples counts, or None."""
     known = -1
     while find is not None and len(pool.trajectories) > known and not work.over:
-        known, found = len(pool.trajectories), smallest_hitting_set(cover, pool, level, target, work)
+        known, found = len(pool.trajectories), smallest_hitting_set(covering, pool, level, target, work)
         if found is None or found.chosen is None:
             return None if found is None else found.proof
-        find(cover.point(found.chosen), level)
+        find(covering.point(found.chosen), level)
     return None
 
 
-class _Prover:
+class _CostProver:
     """Branches and adds rows until every leaf proves the target, or there are no nodes left."""
 
     def __init__(
         self,
-        cover: CoveringRows,
+        covering: CoveringRows,
         pool: HiddenTrajectories,
         level: float,
         target: float,
@@ -156,25 +158,25 @@ class _Prover:
         decide: bool,
         most: int = MOST_NODES,
     ):
-        self.cover, self.pool, self.level, self.target, self.work = cover, pool, level, target, work
+        self.covering, self.pool, self.level, self.target, self.work = covering, pool, level, target, work
         self.keys, self.find, self.decide = keys, find, decide
-        dense = all(trajectory.flight is None for trajectory in pool.trajectories)
+        dense = all(trajectory.response is None for trajectory in pool.trajectories)
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] if find is not None else 0
-        self.model = cover.model(pool.trajectories, keys, level)
-        self.price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
+        self.model = covering.model(pool.trajectories, keys, level)
+        self.price = OPEN_ROW * float(np.max(covering.cost, initial=1.0))
 
     def proof(self) -> CostProof:
         """The proof from the root."""
-        tree, value = self.node(np.zeros(self.cover.columns), self.cover.ceiling(self.target))
-        return CostProof(self.level, min(self.cover.lifted(value), self.target), tuple(self.keys), tree)
+        tree, value = self.node(np.zeros(self.covering.columns), self.covering.ceiling(self.target))
+        return CostProof(self.level, min(self.covering.lifted(value), self.target), tuple(self.keys), tree)
 
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
         """The tree below a node and what it proves; nodes are shared out evenly."""
         self.left -= 1
         x, y, value = _relaxed(self.model, low, high, self.price, self.work)
         for _ in range(min(CUTS[0], self.cuts)):
-            if self.work.over or self.cover.lifted(value) >= self.target or not self._cut(x):
+            if self.work.over or self.covering.lifted(value) >= self.target or not self._cut(x):
                 break
             before = value
             x, y, value = _relaxed(self.model, low, high, self.price, self.work)
@@ -184,8 +186,8 @@ class _Prover:
         leaf = CostLeaf(tuple(rows.tolist()), tuple(y[rows].tolist()))
         torn = np.minimum(x, 1 - x)
         whole = torn.max(initial=0.0) <= INTEGRAL
-        if self.cover.lifted(value) >= self.target or self.left <= 0 or whole or self.work.over:
-            self.lost = self.lost or (self.decide and self.cover.lifted(value) < self.target)
+        if self.covering.lifted(value) >= self.target or self.left <= 0 or whole or self.work.over:
+            self.lost = self.lost or (self.decide and self.covering.lifted(value) < self.target)
             return leaf, value
         k = int(np.argmax(torn))
         up, down = low.copy(), high.copy()
@@ -209,18 +211,20 @@ class _Prover:
             if ask:
                 self.find(x, self.level)
             views = {
-                a: self.cover.view(t, self.level) for a, t in enumerate(self.pool.trajectories) if t.reach >= self.level
+                a: self.covering.view(t, self.level)
+                for a, t in enumerate(self.pool.trajectories)
+                if t.reach >= self.level
             }
-            fresh = _violated(self.cover, self.pool, views, x, set(self.keys))[:ADDED]
+            fresh = _violated(self.covering, self.pool, views, x, set(self.keys))[:ADDED]
             if fresh:
                 self.keys += fresh
-                self.model = self.cover.longer(self.model, self.pool.trajectories, fresh, self.level)
+                self.model = self.covering.longer(self.model, self.pool.trajectories, fresh, self.level)
                 return True
         return False
 
 
 def out_of_reach(
-    cover: CoveringRows,
+    covering: CoveringRows,
     pool: HiddenTrajectories,
     limit: float,
     known: float,
@@ -236,21 +240,21 @@ def out_of_reach(
     `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice.
     """
     best: CostProof | None = None
-    more = limit + (cover.grain or 1e-6 * max(limit, 1.0))
+    more = limit + (covering.grain or 1e-6 * max(limit, 1.0))
     low = 0.0
     if known > 0:
-        best = prove_cost(cover, pool, known, more, work, keys, find=find, decide=True)
+        best = prove_cost(covering, pool, known, more, work, keys, find=find, decide=True)
         if best.value >= more * (1 - 1e-9):
             return best
         best, high = None, known
-    ratio, trajectory, end = pool.against(cover.problem.allowed)
-    if trajectory is not None:  # a motion that nothing shows proves its level alone
+    ratio, trajectory, end = pool.against(covering.problem.allowed)
+    if trajectory is not None:  # a trajectory that nothing shows proves its level alone
         place = next(a for a, each in enumerate(pool.trajectories) if each is trajectory)
-        proof = prove_cost(cover, pool, ratio * BELOW, more, work, [(place, end)], decide=True)
+        proof = prove_cost(covering, pool, ratio * BELOW, more, work, [(place, end)], decide=True)
         best, low = (proof, proof.level) if proof.value >= more * (1 - 1e-9) else (None, 0.0)
     while high > low * (1 + width) and not work.over:
         level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
-        proof = prove_cost(cover, pool, level, more, work, keys, find=find, decide=True)
+        proof = prove_cost(covering, pool, level, more, work, keys, find=find, decide=True)
         keys = list(proof.keys)
         if proof.value >= more * (1 - 1e-9):
             best, low = proof, level

@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from sampling_design.planning.dates import plan_dates
-from sampling_design.planning.deadline import GoalDue, exceeded_since, first_due, kept_from, reached_at
+from sampling_design.planning.deadline import GoalDeadline, exceeded_since, first_deadline, kept_from, reached_at
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settling_time, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
@@ -43,11 +43,11 @@ class NextChoices:
         self._known: dict[tuple[float, bytes], float] = {}
         self._chosen: dict[tuple[float, bytes], SampleSequence] = {}
         self._options: dict[int | None, list[Option]] = {}
-        self._due_at: dict[tuple[int | None, float], GoalDue | None] = {}
+        self._deadlines: dict[tuple[int | None, float], GoalDeadline | None] = {}
         self._after: dict[float, list[tuple[Array, Mask, PlanClock]]] = {}
         self._added: dict[int, list[Option]] = {}
 
-    def exceeded(self) -> GoalDue | None:
+    def exceeded(self) -> GoalDeadline | None:
         """The goal that is above its tolerance now for longest, and since when."""
         return exceeded_since(self.plan, self.history, self.now)
 
@@ -72,7 +72,7 @@ class NextChoices:
             )
             mask = allowed if sensor is None and not mask.any() else mask
             later = t > self.now + 1e-6 * step and mask.any()
-            if later and is_apart(problem, self.history.times, self.history.seen, t, mask):
+            if later and is_apart(problem, self.history.times, self.history.measured, t, mask):
                 found.append((t, mask))
         return found
 
@@ -103,26 +103,26 @@ class NextChoices:
             return self._after[start]
         plan = self.plan
         span = settling_time(plan)
-        times, seen = planned(plan, start, start + span, self.clock)
+        times, measured = planned(plan, start, start + span, self.clock)
         clock = replace(self.clock, until=float(times[-1]))
-        shown = clock.clock_time(times)
-        odd = ~np.array([self.is_open(t) for t in shown.tolist()], dtype=bool)
+        local = clock.clock_time(times)
+        odd = ~np.array([self.is_open(t) for t in local.tolist()], dtype=bool)
         closed = odd.any()
-        odd[1:] |= np.abs(np.diff(shown - times)) > SAME * plan.problem.step  # the first after a change of the clocks
+        odd[1:] |= np.abs(np.diff(local - times)) > SAME * plan.problem.step  # the first after a change of the clocks
         if not odd.any():
-            self._after[start] = [(times, seen, clock)]
+            self._after[start] = [(times, measured, clock)]
             return self._after[start]
         last = float(times[odd][-1])
-        times, seen = planned(plan, start, last + span, clock)
-        shown = clock.clock_time(times).tolist()
-        keep = np.array([t > last or self.is_open(c) for t, c in zip(times.tolist(), shown, strict=True)], dtype=bool)
-        ways = [(times[keep], seen[keep], clock)]
+        times, measured = planned(plan, start, last + span, clock)
+        local = clock.clock_time(times).tolist()
+        keep = np.array([t > last or self.is_open(c) for t, c in zip(times.tolist(), local, strict=True)], dtype=bool)
+        ways = [(times[keep], measured[keep], clock)]
         dated = self._dated(last) if closed else []
         more = [(t, mask) for t, mask in dated if start <= t <= last + plan.schedule.period]
         if more:
             both = np.concatenate([times[keep], [t for t, _ in more]])
             order = np.argsort(both, kind="stable")
-            masks = np.concatenate([seen[keep], np.array([mask for _, mask in more])])
+            masks = np.concatenate([measured[keep], np.array([mask for _, mask in more])])
             ways.append((both[order], masks[order], clock))
         self._after[start] = ways
         return ways
@@ -161,11 +161,11 @@ class NextChoices:
         t, mask = choice
         step = self.plan.problem.step
         resume = t + max(self.plan.problem.spacing - 1e-6, 1e-6) * step
-        for times, seen, clock in self.followed(resume):
+        for times, measured, clock in self.followed(resume):
             every = np.concatenate([self.history.times, [t], times])
-            masks = np.concatenate([self.history.seen, mask[None], seen])
+            masks = np.concatenate([self.history.measured, mask[None], measured])
             keep = ~too_soon(self.plan.problem, every, masks, len(self.history.times) + 1)
-            yield replace(self.history, times=every[keep], seen=masks[keep], clock=clock, since=self.now)
+            yield replace(self.history, times=every[keep], measured=masks[keep], clock=clock, since=self.now)
 
     def sequence(self, choice: Option) -> SampleSequence:
         """The best of them, as far as is known."""
@@ -227,9 +227,11 @@ class NextChoices:
     def _planned_option(self, options: list[Option]) -> int:
         """Which option is the plan's next sample; the first one where the place is closed then."""
         step = self.plan.problem.step
-        due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2, self.clock)[0]
+        planned_times = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2, self.clock)[0]
         times = np.array([t for t, _ in options])
-        same = np.flatnonzero(np.min(np.abs(times[:, None] - due[None, :]), axis=1, initial=np.inf) < step / 4)
+        same = np.flatnonzero(
+            np.min(np.abs(times[:, None] - planned_times[None, :]), axis=1, initial=np.inf) < step / 4
+        )
         return int(same[0]) if same.size else 0
 
     def answer(self, sensor: int | None, prove: bool) -> NextAnswer:
@@ -300,22 +302,22 @@ class NextChoices:
                 return NextAnswer(*choice, since, ratio, True)
         return NextAnswer(*self._nothing, np.inf, ratio, False)
 
-    def later(self, sensor: int | None, latest: float) -> GoalDue | None:
+    def later(self, sensor: int | None, latest: float) -> GoalDeadline | None:
         """What keeps the next sample from coming at the first option after the latest; None without such an option."""
         after = [option for option in self.options(sensor) if option[0] > latest]
         if not after:
             return None
         t = after[0][0]
-        if (sensor, t) not in self._due_at:
-            self._due_at[sensor, t] = self.breach(after[0])
-        return self._due_at[sensor, t]
+        if (sensor, t) not in self._deadlines:
+            self._deadlines[sensor, t] = self.breach(after[0])
+        return self._deadlines[sensor, t]
 
-    def breach(self, choice: Option) -> GoalDue | None:
+    def breach(self, choice: Option) -> GoalDeadline | None:
         """Which goal reaches its tolerance after a choice, and when."""
         if not np.isfinite(choice[0]):
             return None
         sequence = self.sequence(choice)
-        return first_due(self.plan, sequence, self._until(sequence))
+        return first_deadline(self.plan, sequence, self._until(sequence))
 
     def best(self, latest: Option) -> Option:
         """Of the options up to the latest, the one after which the worst accuracy is least."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.adversary_program import fly
+from sampling_design.planning.adversary_program import forced_response
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import WHOLE, PlanProblem, pose_plan
@@ -57,23 +57,27 @@ def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:
 
 
 def lifted_trajectories(
-    oracle: AccuracyOracle, motion: DiscretePlant, trajectories: Iterable[HiddenTrajectory]
+    oracle: AccuracyOracle, discrete: DiscretePlant, trajectories: Iterable[HiddenTrajectory]
 ) -> list[HiddenTrajectory]:
-    """The trajectories of a coarser grid, where `motion` is the plant, on the grid of an oracle.
+    """The trajectories of a coarser grid, where `discrete` is the plant, on the grid of an oracle.
 
     Flown over its steps, with what all of these would show. Of a tangent: the one that touches at the same samples.
     """
     found, steps = [], oracle.problem.steps
     for trajectory in trajectories:
         part = steps // len(trajectory.peaks)
-        if trajectory.flight is None:
+        if trajectory.response is None:
             z = np.zeros(oracle.problem.allowed.shape)
             z[::part] = np.roll(trajectory.touches, -(trajectory.end + 1) % len(trajectory.peaks), axis=0)[::-1]
             lifted = oracle.tangent(z, trajectory.goal)
         else:
-            flight = trajectory.flight
-            states = np.asarray(np.linalg.lstsq(oracle.motion.T, motion.T @ flight.states.T)[0].T, dtype=np.float64)
-            flown = fly(oracle.motion, flight.knots * part, states, np.repeat(flight.w, part, axis=0))
-            lifted = oracle.scaled(flown, trajectory.goal, trajectory.end * part, trajectory.at_sample)
+            response = trajectory.response
+            states = np.asarray(
+                np.linalg.lstsq(oracle.discrete.T, discrete.T @ response.states.T)[0].T, dtype=np.float64
+            )
+            propagated = forced_response(
+                oracle.discrete, response.knots * part, states, np.repeat(response.w, part, axis=0)
+            )
+            lifted = oracle.scaled(propagated, trajectory.goal, trajectory.end * part, trajectory.at_sample)
         found += [lifted] if lifted is not None else []
     return found

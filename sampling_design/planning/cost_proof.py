@@ -8,7 +8,7 @@ from typing import TypeAlias, Union
 
 import numpy as np
 
-from sampling_design.planning.covering import CoveringRows, CoverModel, Key, proven
+from sampling_design.planning.covering import CoveringProgram, CoveringRows, Key, proven
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.records.arrays import Array
 
@@ -32,7 +32,7 @@ class CostLeaf:
         """The tree with other numbers of rows."""
         return CostLeaf(tuple(map(place, self.rows)), self.values)
 
-    def below(self, model: CoverModel, low: Array, high: Array) -> float:
+    def below(self, model: CoveringProgram, low: Array, high: Array) -> float:
         """What the tree proves of choices between bounds."""
         y = np.zeros(model.b.size)
         y[list(self.rows)] = self.values
@@ -64,7 +64,7 @@ class CostBranch:
         """The tree with other numbers of rows."""
         return CostBranch(self.variable, self.without.numbered(place), self.given.numbered(place))
 
-    def below(self, model: CoverModel, low: Array, high: Array) -> float:
+    def below(self, model: CoveringProgram, low: Array, high: Array) -> float:
         """What the tree proves of choices between bounds."""
         up, down = low.copy(), high.copy()
         up[self.variable], down[self.variable] = 1.0, 0.0
@@ -88,13 +88,13 @@ class CostProof:
     tree: CostTree
 
 
-def proven_cost(cover: CoveringRows, pool: HiddenTrajectories, proof: CostProof) -> float:
+def proven_cost(covering: CoveringRows, pool: HiddenTrajectories, proof: CostProof) -> float:
     """What a proof's multipliers prove, worked out anew; no solver."""
     if any(not pool.ends[pool.trajectories[a].goal][end % pool.steps] for a, end in proof.keys):
         return -np.inf
-    model = cover.model(pool.trajectories, list(proof.keys), proof.level)
-    if not proof.tree.fits(model.b.size, cover.columns):
+    model = covering.model(pool.trajectories, list(proof.keys), proof.level)
+    if not proof.tree.fits(model.b.size, covering.columns):
         return -np.inf
 
     # a choice that cost less than the claim could be turned so that its largest gap follows step 0
-    return cover.lifted(proof.tree.below(model, np.zeros(cover.columns), cover.ceiling(proof.value)))
+    return covering.lifted(proof.tree.below(model, np.zeros(covering.columns), covering.ceiling(proof.value)))

@@ -35,7 +35,7 @@ GRAIN = 1e-6  # costs are whole multiples of a grain within this share of it
 
 
 @dataclass(frozen=True, eq=False)
-class CoverModel:
+class CoveringProgram:
     """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out if they are whole)."""
 
     c: Array  # (k,)
@@ -139,7 +139,7 @@ class CoveringRows:
             rows.append((np.arange(self.columns), -self.cost, -problem.most_cost))
         if self.fixed:
             rows.append((np.array([0]), np.ones(1), 1.0))
-        else:  # a plan has a sample, even where no motion asks for one
+        else:  # a plan has a sample, even where no trajectory asks for one
             rows.append((np.arange(self.at.size), np.ones(self.at.size), 1.0))
         return _stacked(rows, self.columns)
 
@@ -184,9 +184,9 @@ class CoveringRows:
 
     def sizes(self, trajectory: HiddenTrajectory, ends: Index, level: float) -> Index:
         """How many of the measurements that may be taken see a trajectory turned to each of these ends."""
-        seen = self.view(trajectory, level) > 0
+        shows = self.view(trajectory, level) > 0
         there = self.places[self.at] >= 0
-        return np.asarray(np.sum(seen[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
+        return np.asarray(np.sum(shows[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
 
     def row(self, trajectory: HiddenTrajectory, end: int, level: float) -> tuple[Index, Array, float]:
         """The row that asks for a trajectory, turned to `end` and scaled to `level`, to be seen."""
@@ -204,22 +204,22 @@ class CoveringRows:
 
     def model(
         self, trajectories: list[HiddenTrajectory], keys: list[Key], level: float, undetected_at: Sequence[Mask] = ()
-    ) -> CoverModel:
+    ) -> CoveringProgram:
         """The program of these trajectories at a level, and of what must be measured once wherever it shows."""
         A, b = self.frame
         rows = [self.row(trajectories[a], end, level) for a, end in keys]
         places = [np.unique(self.place[where]) for where in undetected_at]
         rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
         more, right = _stacked(rows, self.columns)
-        return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
+        return CoveringProgram(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
 
     def longer(
-        self, model: CoverModel, trajectories: list[HiddenTrajectory], keys: list[Key], level: float
-    ) -> CoverModel:
+        self, model: CoveringProgram, trajectories: list[HiddenTrajectory], keys: list[Key], level: float
+    ) -> CoveringProgram:
         """A program with more rows, behind those that there are."""
         more, right = _stacked([self.row(trajectories[a], end, level) for a, end in keys], self.columns)
         A = sparse.vstack([model.A, more], format="csr")
-        return CoverModel(model.c, A, np.concatenate([model.b, right]))
+        return CoveringProgram(model.c, A, np.concatenate([model.b, right]))
 
     def choice(self, x: Array) -> Mask:
         """What a point of the program measures."""
@@ -248,7 +248,7 @@ def _is_whole(problem: PlanProblem) -> bool:
 
 
 def cheapest(
-    cover: CoveringRows, model: CoverModel, tie: Array, work: Budget, below: float = np.inf, nodes: int = NODES
+    covering: CoveringRows, model: CoveringProgram, tie: Array, work: Budget, below: float = np.inf, nodes: int = NODES
 ) -> tuple[Mask | None, bool]:
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 
@@ -259,25 +259,25 @@ def cheapest(
 
     rows = [LinearConstraint(model.A, model.b, np.inf)]
     if np.isfinite(below):
-        most = below - cover.grain / 2 if cover.grain else below * (1 - GRAIN)
+        most = below - covering.grain / 2 if covering.grain else below * (1 - GRAIN)
         rows.append(LinearConstraint(sparse.csr_matrix(model.c[None]), -np.inf, most))
     size = max(1, model.A.nnz)
-    left = (work.left / (COVER[1] * size) - cover.columns) / NODE
+    left = (work.left / (COVER[1] * size) - covering.columns) / NODE
     most = int(np.clip(left, 1, NODES))  # no more than there is work left for
     found = milp(
         model.c + tie,
         constraints=rows,
-        integrality=np.ones(cover.columns),
-        bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
+        integrality=np.ones(covering.columns),
+        bounds=Bounds(0, covering.ceiling(min(below, covering.dearest))),
         options={"node_limit": min(most, max(FEWEST, min(nodes, ENTRIES // size))), "mip_rel_gap": NEAR},
     )
-    work.add(COVER, size * (cover.columns + NODE * max(1, found.mip_node_count or 1)))
+    work.add(COVER, size * (covering.columns + NODE * max(1, found.mip_node_count or 1)))
     if found.x is None:
         return None, found.status == 2
-    return cover.choice(found.x), False
+    return covering.choice(found.x), False
 
 
-def relaxed(model: CoverModel, low: Array, high: Array, price: float) -> tuple[Array, Array, float]:
+def relaxed(model: CoveringProgram, low: Array, high: Array, price: float) -> tuple[Array, Array, float]:
     """Solve the relaxation where a row may be left open at a price; return x, multipliers, and what these prove."""
     from scipy.optimize import linprog
 
@@ -293,7 +293,7 @@ def relaxed(model: CoverModel, low: Array, high: Array, price: float) -> tuple[A
     return np.asarray(found.x[:k]), y, proven(model, y, low, high)
 
 
-def proven(model: CoverModel, y: Array, low: Array, high: Array) -> float:
+def proven(model: CoveringProgram, y: Array, low: Array, high: Array) -> float:
     """Return what multipliers y >= 0 prove of the least cost with low <= x <= high; no solver."""
     rest = model.c - model.A.T @ y
     terms = np.where(rest > 0, rest * low, rest * high)

@@ -19,10 +19,10 @@ from sampling_design.planning.sequence import gap_ratios, longest_out, proven_ra
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
     SampleSequence,
-    begun,
     departs_and_returns,
     is_apart,
     planned,
+    sequence_from_start,
     too_soon,
 )
 from sampling_design.planning.start import plan_start
@@ -64,7 +64,7 @@ class DateException:
     what, date : str
     ratio : float
         With all exceptions before it and after it as they are; where more than 1 is all that is proven, the largest
-        that a motion attains, or that the filter says.
+        that a trajectory attains, or that the filter says.
     proven : bool
     """
 
@@ -186,12 +186,12 @@ def plan_dates(plan: PlanFigures, periods: int = 1, *, prove: bool = True) -> Pl
     calendar = plan.requirement.calendar
     if calendar is None:
         raise ArgumentError("`plan` has no calendar: its times are no dates.")
-    run = _Dating(plan, checks.whole("periods", periods, 1), prove)
+    run = _DatedPlan(plan, checks.whole("periods", periods, 1), prove)
     return run.dates()
 
 
 @dataclass(frozen=True, eq=False)
-class _Closed:
+class _ClosedDays:
     """Samples that cannot be taken, one after another: clock times, and why."""
 
     times: Array
@@ -202,7 +202,7 @@ class _Closed:
         return f"{self.why}, {len(self.times)} left out" + (f", {added} added" if added else "")
 
 
-class _Dating:
+class _DatedPlan:
     """Dates of one plan: what is left out, what is added, and what is proven of the whole; times of the clock."""
 
     def __init__(self, plan: PlanFigures, periods: int, prove: bool):
@@ -212,13 +212,15 @@ class _Dating:
         self.clock = replace(plan.clock, until=float(plan.clock.elapsed(self.known)))
         self.span = settling_time(plan)
         self.shows = plan.schedule.period + longest_out(plan)  # how long after it a change is looked for
-        self.times, self.seen = planned(plan, 0.0, self.known + self.span)
+        self.times, self.measured = planned(plan, 0.0, self.known + self.span)
         start = plan.start or plan_start(plan)
         self.since = np.inf if start is None else float(self.clock.elapsed(start.from_time))
         """From when on the plan keeps the tolerances if nothing is left out, in real time."""
         self.open = np.array([not 0 <= t < self.known or self.is_open(t) for t in self.times.tolist()], dtype=bool)
         self.soon = np.zeros(self.open.size, dtype=bool)
-        self.soon[self.open] = too_soon(plan.problem, self.clock.elapsed(self.times[self.open]), self.seen[self.open])
+        self.soon[self.open] = too_soon(
+            plan.problem, self.clock.elapsed(self.times[self.open]), self.measured[self.open]
+        )
         self.open &= ~self.soon
         self.closed = [self._closed(run) for run in _runs(~self.open)]
         self.day = 1440 / self.clock.minutes
@@ -237,28 +239,28 @@ class _Dating:
         """Whether a clock time is no holiday, and one that the clocks show."""
         return self.calendar.is_open(t * self.clock.minutes, holidays=True)
 
-    def _closed(self, run: Index) -> _Closed:
+    def _closed(self, run: Index) -> _ClosedDays:
         times = self.times[run]
         if self.soon[run].all():
-            return _Closed(times, "too soon after the sample before by the changed clocks")
+            return _ClosedDays(times, "too soon after the sample before by the changed clocks")
         skipped = all(self.calendar.is_skipped(round(t * self.clock.minutes, 6)) for t in times.tolist())
-        return _Closed(times, "skipped by the clocks" if skipped else "closed")
+        return _ClosedDays(times, "skipped by the clocks" if skipped else "closed")
 
     def sequence(self, added: list[DatedSample], start: float = -np.inf, stop: float = np.inf) -> SampleSequence:
         """The samples that are taken in [start, stop), at real times."""
         keep = self.open & (self.times >= start) & (self.times < stop)
-        times, seen = self.times[keep], self.seen[keep]
+        times, measured = self.times[keep], self.measured[keep]
         if added:
             times = np.concatenate([times, [t for t, _ in added]])
-            seen = np.concatenate([seen, np.array([s for _, s in added])])
+            measured = np.concatenate([measured, np.array([s for _, s in added])])
         real = self.clock.elapsed(times)
         order = np.argsort(real, kind="stable")
-        real, seen = real[order], seen[order]
+        real, measured = real[order], measured[order]
         if start <= 0:
-            return begun(self.plan, real, seen, self.clock)
+            return sequence_from_start(self.plan, real, measured, self.clock)
         problem = self.plan.problem
         late, delay = problem.timing_tolerance, problem.result_delay
-        whole = SampleSequence(real, seen, len(real), self.clock, late=late, result_delay=delay)
+        whole = SampleSequence(real, measured, len(real), self.clock, late=late, result_delay=delay)
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 
     def added(self, level: float) -> list[DatedSample]:
@@ -282,7 +284,7 @@ class _Dating:
                 found = others
         return found
 
-    def above(self, closed: _Closed, added: list[DatedSample], level: float) -> float:
+    def above(self, closed: _ClosedDays, added: list[DatedSample], level: float) -> float:
         """How far accuracies are above a share of their tolerances around samples that are left out, over time."""
         since, until = (float(t) for t in closed.times[[0, -1]])
         since, until = since - AROUND * self.day, until + self.shows
@@ -293,7 +295,7 @@ class _Dating:
         length = np.diff(sequence.times)
         return float(sum(length[k] * max(ratio - level, 0.0) for k, ratio in ratios.items()))
 
-    def options(self, closed: _Closed, added: list[DatedSample]) -> list[DatedSample]:
+    def options(self, closed: _ClosedDays, added: list[DatedSample]) -> list[DatedSample]:
         """Open times near samples that are left out, spread out and spaced, with every sensor of the plan."""
         problem, step = self.plan.problem, self.plan.problem.step
         first, last = float(closed.times[0]) - AROUND * self.day, float(closed.times[-1]) + AROUND * self.day
@@ -303,7 +305,7 @@ class _Dating:
             mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
             if mask.any() and self.is_open(i * step):
                 t = float(self.clock.elapsed(i * step))
-                found += [(i * step, mask)] if is_apart(problem, taken.times, taken.seen, t, mask) else []
+                found += [(i * step, mask)] if is_apart(problem, taken.times, taken.measured, t, mask) else []
         few = np.unique(np.round(np.linspace(0, len(found) - 1, MOST_TRIED)).astype(int)) if found else np.zeros(0, int)
         return [found[k] for k in few.tolist()]
 
@@ -346,17 +348,17 @@ class _Dating:
             shares[int(np.argmin([np.abs(closed.times - t).min() for closed in self.closed]))] += 1
         found = [(float(c.times[0]), c.in_words(n)) for c, n in zip(self.closed, shares, strict=True)]
         hours = np.arange(0.0, float(self.clock.elapsed(self.known)) * self.clock.minutes, 60.0) / self.clock.minutes
-        shown = self.clock.clock_time(hours)
-        jumps = np.diff(shown - hours)
+        local = self.clock.clock_time(hours)
+        jumps = np.diff(local - hours)
         for k in np.flatnonzero(np.abs(jumps) > 1e-6 / self.clock.minutes).tolist():
             word = "back" if jumps[k] < 0 else "forward"
-            found.append((float(shown[k]), f"clocks {word} by {spoken(abs(jumps[k]) * self.clock.minutes, 'min')}"))
+            found.append((float(local[k]), f"clocks {word} by {spoken(abs(jumps[k]) * self.clock.minutes, 'min')}"))
         return sorted(found)
 
     def entries(self, added: list[DatedSample]) -> tuple[PlannedDate, ...]:
         """The samples that are taken, as dates."""
         names = self.plan.plant.outputs.names
-        every = [(t, s, False) for t, s in zip(self.times[self.open].tolist(), self.seen[self.open], strict=True)]
+        every = [(t, s, False) for t, s in zip(self.times[self.open].tolist(), self.measured[self.open], strict=True)]
         every += [(t, s, True) for t, s in added]
         return tuple(
             PlannedDate(

@@ -12,19 +12,19 @@ from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.sequence import (
-    JudgedSpan,
+    SequenceSpan,
     is_past,
     judged_at_once,
     longest_out,
     spans_of,
     window_after,
 )
-from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, spread_of
+from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, sequence_filter
 from sampling_design.records.arrays import Array
 
 
 @dataclass(frozen=True)
-class GoalDue:
+class GoalDeadline:
     """A goal, and when it reaches its tolerance: what keeps a sample from being later.
 
     Attributes
@@ -33,7 +33,7 @@ class GoalDue:
     time : float
         When it reaches its tolerance, or comes nearest to it [the plant's time unit] since the start of the plan.
     ratio : float
-        Accuracy over tolerance then, attained by a motion on the grid or by the filter: 1 and more where it breaks.
+        Accuracy over tolerance then, attained by a trajectory on the grid or by the filter: 1 and more where it breaks.
     """
 
     goal: str
@@ -47,7 +47,7 @@ class GoalDue:
 
 
 @dataclass(frozen=True, eq=False)
-class GapLooks:
+class GapRatios:
     """One goal in gap k: times that were looked at, in order, and its ratios to the tolerance."""
 
     k: int
@@ -56,26 +56,26 @@ class GapLooks:
     ratios: Array
     end: float  # when the gap is over
 
-    def first(self, level: float = 1.0) -> GoalDue:
+    def first(self, level: float = 1.0) -> GoalDeadline:
         """The first look at or above a level; if there is none, the worst."""
         above = np.flatnonzero(self.ratios >= level)
         at = int(above[0]) if above.size else int(np.argmax(self.ratios))
-        return GoalDue(self.goal, float(self.times[at]), float(self.ratios[at]))
+        return GoalDeadline(self.goal, float(self.times[at]), float(self.ratios[at]))
 
 
-def first_due(plan: PlanFigures, sequence: SampleSequence, until: float) -> GoalDue | None:
+def first_deadline(plan: PlanFigures, sequence: SampleSequence, until: float) -> GoalDeadline | None:
     """The first goal to reach its tolerance in a sequence before a time; if none does, the one that comes nearest."""
-    nearest: GoalDue | None = None
-    firsts: list[GoalDue] = []
-    for looks in (_bounded(plan, sequence, until, 1.0), _deviations(plan, sequence, until)):
-        for _, gap in groupby(looks, key=lambda look: look.k):
-            found = [look.first() for look in gap]
-            breaks = [due for due in found if due.breaks]
+    nearest: GoalDeadline | None = None
+    firsts: list[GoalDeadline] = []
+    for judged in (_bounded(plan, sequence, until, 1.0), _deviations(plan, sequence, until)):
+        for _, gap in groupby(judged, key=lambda each: each.k):
+            found = [each.first() for each in gap]
+            breaks = [deadline for deadline in found if deadline.breaks]
             if breaks:
                 firsts += breaks
                 break
-            nearest = max([*found, *([nearest] if nearest else [])], key=lambda due: due.ratio)
-    return min(firsts, key=lambda due: due.time) if firsts else nearest
+            nearest = max([*found, *([nearest] if nearest else [])], key=lambda deadline: deadline.ratio)
+    return min(firsts, key=lambda deadline: deadline.time) if firsts else nearest
 
 
 def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: float, latest: float = np.inf) -> float:
@@ -100,60 +100,62 @@ def reached_at(plan: PlanFigures, history: SampleSequence, since: float, until: 
     ahead = spans_of(plan, past)
     if past.result_delay is None:
         ahead = [span for span in ahead if span.k == len(past.times) - 2]
-    looks = [look for i, span in enumerate(ahead) for look in _in_gap(plan, past, i, span, level)]
-    looks += _deviations(plan, past, np.inf)
-    over = [float(look.times[look.ratios > level][0]) for look in looks if np.any(look.ratios > level)]
+    judged = [each for i, span in enumerate(ahead) for each in _in_gap(plan, past, i, span, level)]
+    judged += _deviations(plan, past, np.inf)
+    over = [float(each.times[each.ratios > level][0]) for each in judged if np.any(each.ratios > level)]
     return min(over, default=np.inf)
 
 
 def _ending(history: SampleSequence, end: float, since: float = -np.inf) -> SampleSequence:
     """What was measured, and a last gap."""
-    times, seen = np.append(history.times, end), np.concatenate([history.seen, history.seen[-1:]])
-    return replace(history, times=times, seen=seen, since=since)
+    times, measured = np.append(history.times, end), np.concatenate([history.measured, history.measured[-1:]])
+    return replace(history, times=times, measured=measured, since=since)
 
 
-def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> GoalDue | None:
+def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> GoalDeadline | None:
     """The goal that has been above its tolerance for longest without a break until now, and since when; None if none.
 
     `ratio` is that of the last look. The sequence is what was measured until now.
     """
     past = _ending(sequence, max(now, float(sequence.times[-1]) + WHOLE * plan.problem.step))
-    spread = {k: list(looks) for k, looks in groupby(_deviations(plan, past, np.inf), key=lambda look: look.k)}
+    deviations = {k: list(judged) for k, judged in groupby(_deviations(plan, past, np.inf), key=lambda each: each.k)}
     pending = {goal.name for goal in plan.goals}
-    found: dict[str, GoalDue] = {}
+    found: dict[str, GoalDeadline] = {}
     for i, span in [*enumerate(spans_of(plan, past))][::-1]:
-        for look in [*_in_gap(plan, past, i, span, 1.0), *spread.get(span.k, ())]:
-            if look.goal not in pending:
+        for each in [*_in_gap(plan, past, i, span, 1.0), *deviations.get(span.k, ())]:
+            if each.goal not in pending:
                 continue
-            kept = np.flatnonzero(look.ratios < 1)
+            kept = np.flatnonzero(each.ratios < 1)
             after = int(kept[-1]) + 1 if kept.size else 0
-            if after < look.times.size:
-                ratio = found[look.goal].ratio if look.goal in found else float(look.ratios[-1])
-                found[look.goal] = GoalDue(look.goal, float(look.times[after]), ratio)
+            if after < each.times.size:
+                ratio = found[each.goal].ratio if each.goal in found else float(each.ratios[-1])
+                found[each.goal] = GoalDeadline(each.goal, float(each.times[after]), ratio)
             if kept.size:
-                pending.remove(look.goal)
+                pending.remove(each.goal)
         if not pending:
             break
-    return min(found.values(), key=lambda due: due.time, default=None)
+    return min(found.values(), key=lambda deadline: deadline.time, default=None)
 
 
-def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: float) -> Iterator[GapLooks]:
+def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: float) -> Iterator[GapRatios]:
     """Of the goals that are guaranteed, gap by gap, until what a change does has faded below a level."""
     worst = before = 0.0
     back, out, count = departs_and_returns(plan, sequence)[1], longest_out(plan), judged_at_once(plan)
     for i, span in enumerate(spans_of(plan, sequence)):
         if span.since(sequence, plan.oracle) >= until + out:
             return
-        for look in _in_gap(plan, sequence, i, span, level):
-            worst = max(worst, float(look.ratios.max()))
-            yield look
+        for each in _in_gap(plan, sequence, i, span, level):
+            worst = max(worst, float(each.ratios.max()))
+            yield each
         if i % count == count - 1:
             if worst <= min(before, level) and is_past(plan, sequence, span, back):
                 return
             worst, before = 0.0, worst
 
 
-def _in_gap(plan: PlanFigures, sequence: SampleSequence, i: int, span: JudgedSpan, level: float) -> Iterator[GapLooks]:
+def _in_gap(
+    plan: PlanFigures, sequence: SampleSequence, i: int, span: SequenceSpan, level: float
+) -> Iterator[GapRatios]:
     """The same of one gap; where the level is crossed, to the step."""
     oracle = plan.oracle
     goals = oracle.problem.guaranteed
@@ -161,30 +163,30 @@ def _in_gap(plan: PlanFigures, sequence: SampleSequence, i: int, span: JudgedSpa
         return
     window, last = window_after(oracle, sequence, span)
     for g in goals:
-        looks = oracle.looked(window, g, last, span.length, begin=span.begin)
-        if not looks:
+        judged = oracle.ratios_at(window, g, last, span.length, begin=span.begin)
+        if not judged:
             continue
         if oracle.problem.goals[g].at == "all times":
-            _to_the_step(plan, window, g, looks, level)
-        offsets = np.array(sorted(looks))
-        ratios = np.array([looks[offset] for offset in offsets.tolist()])
-        yield GapLooks(i, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios, span.end)
+            _to_the_step(plan, window, g, judged, level)
+        offsets = np.array(sorted(judged))
+        ratios = np.array([judged[offset] for offset in offsets.tolist()])
+        yield GapRatios(i, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios, span.end)
 
 
-def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, looks: dict[int, float], level: float) -> None:
+def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, judged: dict[int, float], level: float) -> None:
     """Look between neighbours on both sides of a level until they are a step apart."""
-    offsets = sorted(looks)
+    offsets = sorted(judged)
     for low, high in pairwise(offsets):
-        sides = (looks[low] >= level, looks[high] >= level)
+        sides = (judged[low] >= level, judged[high] >= level)
         while sides[0] != sides[1] and high - low > 1:
             middle = (low + high) // 2
-            looks[middle] = plan.oracle.reach(window, middle, g)
-            low, high = (middle, high) if (looks[middle] >= level) == sides[0] else (low, middle)
+            judged[middle] = plan.oracle.reach(window, middle, g)
+            low, high = (middle, high) if (judged[middle] >= level) == sides[0] else (low, middle)
 
 
-def _deviations(plan: PlanFigures, sequence: SampleSequence, until: float) -> Iterator[GapLooks]:
+def _deviations(plan: PlanFigures, sequence: SampleSequence, until: float) -> Iterator[GapRatios]:
     """The same of standard deviations."""
     if plan.deviation is None:
         return
-    for k, goal, offsets, ratios in spread_of(plan).gaps(sequence, until):
-        yield GapLooks(k, goal.name, float(sequence.times[k]) + offsets, ratios, float(sequence.times[k + 1]))
+    for k, goal, offsets, ratios in sequence_filter(plan).gaps(sequence, until):
+        yield GapRatios(k, goal.name, float(sequence.times[k]) + offsets, ratios, float(sequence.times[k + 1]))

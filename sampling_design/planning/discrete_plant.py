@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import schur
 
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.sample_chain import endless_chain
+from sampling_design.accuracy.sampled_system import periodic_system
 from sampling_design.accuracy.undetectable import known_part
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.numerics.linalg import forced_flow
@@ -115,45 +115,45 @@ class DiscretePlant:
 
 @dataclass(frozen=True, eq=False)
 class UndetectedModes:
-    """Motions that do not decay and that a choice never sees."""
+    """Trajectories that do not decay and that a choice never sees."""
 
     where: Mask  # (M, p): where they show: any choice that measures nowhere on the mask hides them, too
-    states: Array  # (n, k): z at step 0 of such motions, orthonormal
+    states: Array  # (n, k): z at step 0 of such trajectories, orthonormal
 
 
 def hidden_at(
-    motion: DiscretePlant, chosen: Mask, rows: Array, always: Mask, outputs: Array | None = None
+    discrete: DiscretePlant, chosen: Mask, rows: Array, always: Mask, outputs: Array | None = None
 ) -> UndetectedModes | None:
-    """Return the motions that do not decay and that a choice never sees.
+    """Return the trajectories that do not decay and that a choice never sees.
 
     None if there are none, or if they are hidden at all times, not only at those of the grid, and of no account to
     the rows of z, at any time to those that are `always` wanted; whether another sensor would show them is nothing
     to these rows. `outputs`: those of z that are read, default H.
     """
-    H = motion.H if outputs is None else outputs
+    H = discrete.H if outputs is None else outputs
     steps, p = chosen.shape
-    seen = np.empty((steps, p, motion.n))
-    moved = np.empty((steps, len(rows), motion.n))
-    power, log = np.eye(motion.n), 0.0  # F^i over e^log: only directions are asked for, and growth may overflow
+    outputs_at = np.empty((steps, p, discrete.n))
+    moved = np.empty((steps, len(rows), discrete.n))
+    power, log = np.eye(discrete.n), 0.0  # F^i over e^log: only directions are asked for, and growth may overflow
     for i in range(steps):
-        seen[i], moved[i] = _even(H @ power), _even(rows @ power)
-        power = motion.F @ power
+        outputs_at[i], moved[i] = _even(H @ power), _even(rows @ power)
+        power = discrete.F @ power
         size = max(float(np.abs(power).max()), np.finfo(float).tiny)
         power, log = power / size, log + float(np.log(size))
     stays = (1 - STAYS) * np.exp(-max(log, -700.0))
-    later = [seen[chosen]]
-    for _ in range(motion.n - 1):
+    later = [outputs_at[chosen]]
+    for _ in range(discrete.n - 1):
         later.append(_even(later[-1] @ power))
-    _, sizes, right = np.linalg.svd(np.vstack([np.zeros((motion.n, motion.n)), *later]))
+    _, sizes, right = np.linalg.svd(np.vstack([np.zeros((discrete.n, discrete.n)), *later]))
     N = right[sizes <= HIDDEN * max(float(sizes[0]), 1.0)].T
     if not N.shape[1]:
         return None
     _, Z, stay = schur(N.T @ power @ N, output="real", sort=lambda re, im: bool(np.hypot(re, im) >= stays))
     N = N @ Z[:, :stay]
-    where = np.asarray(np.linalg.norm(seen @ N, axis=2) > HIDDEN)
-    reached = np.vstack([moved.reshape(-1, motion.n), *_derivatives(motion.A, rows[always])])
-    moved_on = motion.A @ N  # where it is hidden at samples only, what nobody knows differs from time to time
-    turns = float(np.linalg.norm(moved_on - N @ (N.T @ moved_on))) > HIDDEN * float(np.linalg.norm(motion.A))
+    where = np.asarray(np.linalg.norm(outputs_at @ N, axis=2) > HIDDEN)
+    reached = np.vstack([moved.reshape(-1, discrete.n), *_derivatives(discrete.A, rows[always])])
+    moved_on = discrete.A @ N  # where it is hidden at samples only, what nobody knows differs from time to time
+    turns = float(np.linalg.norm(moved_on - N @ (N.T @ moved_on))) > HIDDEN * float(np.linalg.norm(discrete.A))
     matters = turns or float(np.abs(reached @ N).max(initial=0.0)) > HIDDEN
     return UndetectedModes(where, N) if stay and matters else None
 
@@ -172,7 +172,7 @@ def _even(rows: Array) -> Array:
     return np.asarray(rows / np.where(size > 0, size, 1.0))
 
 
-def motion_of(problem: PlanProblem) -> DiscretePlant:
+def discretize(problem: PlanProblem) -> DiscretePlant:
     """Return the plant of a problem on its grid; coordinates from a spread-out schedule with every sensor.
 
     Raises ArgumentError if a mode grows so much in a step of the grid that no sample helps; InfeasibleRequirementError
@@ -190,7 +190,7 @@ def motion_of(problem: PlanProblem) -> DiscretePlant:
     count = int(max(count, np.ceil(max(fastest.real, 0.0) * problem.period / (GROWTH / 2))))
     gaps = 1 + np.arange(count) * GOLDEN % 1.0  # uneven: no mode is missed by its period
     gaps *= problem.period / gaps.sum()
-    guarantees = any(not goal.spread for goal in problem.goals)
+    guarantees = any(not goal.stochastic for goal in problem.goals)
     sizes = problem.v_bound if guarantees else problem.v_deviation
     bound_on_w = problem.requirement.w_bound if guarantees else np.sqrt(problem.w_intensity)
     measured = [np.flatnonzero(np.isfinite(np.minimum(problem.v_bound, problem.v_deviation)))] * count
@@ -202,10 +202,12 @@ def motion_of(problem: PlanProblem) -> DiscretePlant:
                 "no plan can keep its tolerance. Add a sensor, or a `noise_bound` to one that has none.",
                 "accuracy",
             )
-    seen = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
-    bounds = SignalBounds.of(known.plant, count, np.tile(np.isfinite(seen), (count, 1)), bound_on_w, _finite(seen))
-    chain = endless_chain(known.plant, gaps, bounds)
-    own = chain.D[:, None] * chain.L[0]
+    outputs_at = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
+    bounds = SignalBounds.of(
+        known.plant, count, np.tile(np.isfinite(outputs_at), (count, 1)), bound_on_w, _finite(outputs_at)
+    )
+    system = periodic_system(known.plant, gaps, bounds)
+    own = system.D[:, None] * system.L[0]
     C = known.plant.C @ own
     A = np.linalg.solve(own, known.plant.A @ own)
     G = np.linalg.solve(own, known.plant.G * bounds.w)

@@ -44,7 +44,7 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
     )
 
 
-def bears(plan: PlanFigures, found: PlanRobustness) -> bool:
+def robustness_holds(plan: PlanFigures, found: PlanRobustness) -> bool:
     """Whether a plan bears what a record says, proven anew."""
     if len(found.times) != plan.samples or not np.allclose(found.times, plan.schedule.times, atol=1e-9):
         return False
@@ -67,21 +67,21 @@ def delayed(plan: PlanFigures, k: int, late: float) -> SampleSequence:
     before, after = _around(plan, k, 1)
     t, mask = float(plan.schedule.times[k]) + late, plan.chosen[plan.chosen.any(axis=1)][k]
     times = np.concatenate([before[0], [t], after[0]])
-    seen = np.concatenate([before[1], mask[None], after[1]])
-    return _sequence(plan, times, seen, before[0].size)
+    measured = np.concatenate([before[1], mask[None], after[1]])
+    return _sequence(plan, times, measured, before[0].size)
 
 
 def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
     """The plan without so many samples from sample k on."""
     before, after = _around(plan, k, count)
     times = np.concatenate([before[0], after[0]])
-    seen = np.concatenate([before[1], after[1]])
-    return _sequence(plan, times, seen, before[0].size)
+    measured = np.concatenate([before[1], after[1]])
+    return _sequence(plan, times, measured, before[0].size)
 
 
-def _sequence(plan: PlanFigures, times: Array, seen: Mask, first: int) -> SampleSequence:
+def _sequence(plan: PlanFigures, times: Array, measured: Mask, first: int) -> SampleSequence:
     problem = plan.problem
-    return SampleSequence(times, seen, first, late=problem.timing_tolerance, result_delay=problem.result_delay)
+    return SampleSequence(times, measured, first, late=problem.timing_tolerance, result_delay=problem.result_delay)
 
 
 def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:
@@ -132,12 +132,12 @@ def _proven_late(plan: PlanFigures, k: int, stride: float, unbroken: int) -> tup
 
 
 def _broken(plan: PlanFigures, sequence: SampleSequence) -> bool:
-    """Whether a motion on the grid breaks a tolerance before the first sample that is another one, or after it."""
+    """Whether a trajectory on the grid breaks a tolerance before the first sample that is another one, or after it."""
     return worst_ratio(plan, sequence, 1.0, float(sequence.times[sequence.first + 1]), closely=False) > 1
 
 
 def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
-    """Accuracy over tolerance: proven up to 1, else as a motion on the grid attains it, or a bound."""
+    """Accuracy over tolerance: proven up to 1, else as a trajectory on the grid attains it, or a bound."""
     ratio = np.inf if _broken(plan, sequence) else proven_ratio(plan, sequence)
     if ratio <= 1:
         return ratio

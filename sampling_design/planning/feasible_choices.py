@@ -20,7 +20,7 @@ from sampling_design.records.budget import Budget
 
 GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
-SPREAD = (np.sqrt(5.0) - 1) / 2  # multiples of it, less their whole part, are spread evenly
+EVENLY = (np.sqrt(5.0) - 1) / 2  # multiples of it, less their whole part, are spread evenly
 
 TIGHTER, TIGHTEST, ROOM = 2.0, 0.95, 1.004
 """Where samples may be late: how much tighter a search asks at most than the one before, the last margin, and room."""
@@ -68,21 +68,21 @@ class FeasibleChoices:
             self._known[key] = ProvenChoice(chosen, *self._prove(chosen))
         return self._known[key]
 
-    def sharpest(self, held: Iterable[tuple[Mask, float]], best: ProvenChoice) -> ProvenChoice:
+    def sharpest(self, incumbents: Iterable[tuple[Mask, float]], best: ProvenChoice) -> ProvenChoice:
         """The best of what was held, by proof; a choice judged no better than the best is not proven to be better."""
-        for chosen, judged in held:
+        for chosen, judged in incumbents:
             if judged < best.worst:
                 best = min(best, self.proven(chosen), key=lambda found: found.worst)
         return best
 
-    def cheapest(self, held: Iterable[Mask], everything: Mask) -> ProvenChoice:
+    def cheapest(self, incumbents: Iterable[Mask], everything: Mask) -> ProvenChoice:
         """The cheapest of what was held, and of all that is allowed, that is proven to keep the tolerances.
 
         Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. Raises
         UndecidedError if nothing is proven to keep them.
         """
         cost, best = self.problem.cost, None
-        choices = sorted([*held, everything], key=cost)
+        choices = sorted([*incumbents, everything], key=cost)
         best = next((found for found in map(self.proven, choices) if found.worst <= 1), None)
         for chosen in choices:
             if best is not None and (self.work.over or cost(chosen) >= cost(best.chosen)):
@@ -94,11 +94,11 @@ class FeasibleChoices:
     def _mended(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
         """More of what is allowed, spread out, until the tolerances are proven, as long as that is cheaper than `best`.
 
-        It is asked for where a motion that no disturbance drives neither decays nor is seen well. Raises UndecidedError
-        if there is no `best`, and not even as much as spacings allow is proven to keep them.
+        It is asked for where a free response neither decays nor is observed well. Raises UndecidedError if
+        there is no `best`, and not even as much as spacings allow is proven to keep them.
         """
         more = np.argwhere(everything & ~chosen)
-        more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]
+        more = more[np.argsort((np.arange(len(more)) * EVENLY) % 1.0, kind="stable")]
         low, high = 0, len(more)
         while best is None or low < high:
             count = high if best is None else (low + high) // 2

@@ -15,7 +15,7 @@ from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.discrete_plant import motion_of
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
@@ -69,7 +69,7 @@ class PlanStart(PlainRecord):
 
 def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     """The accuracy of a choice's goals that are guaranteed; None if it has none."""
-    rows = [goal.row for goal in problem.goals if not goal.spread]
+    rows = [goal.row for goal in problem.goals if not goal.stochastic]
     if not rows:
         return None
     bounded = chosen & np.isfinite(problem.v_bound)
@@ -145,7 +145,7 @@ class PlanFigures(TableRecord, PlainRecord):
     @cached_property
     def oracle(self) -> AccuracyOracle:
         """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
-        oracle = AccuracyOracle(self.problem, motion_of(self.problem))
+        oracle = AccuracyOracle(self.problem, discretize(self.problem))
         oracle.judge(self.chosen)
         return oracle
 
@@ -171,8 +171,8 @@ class PlanFigures(TableRecord, PlainRecord):
     def curve(self, k: int) -> tuple[Array, Array]:
         """Edges of panels over the period, and what is proven of a goal on each: a bound, or a standard deviation."""
         goal = self.goals[k]
-        place = [g for g, other in enumerate(self.goals) if other.spread == goal.spread].index(k)
-        if self.deviation is not None and goal.spread:
+        place = [g for g, other in enumerate(self.goals) if other.stochastic == goal.stochastic].index(k)
+        if self.deviation is not None and goal.stochastic:
             times, values = self.deviation.times, self.deviation.profile[place]
             keep = np.flatnonzero(np.diff(times) > 0)
             return np.append(times[keep], times[-1]), np.maximum(values[keep], values[keep + 1])

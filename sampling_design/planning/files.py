@@ -29,7 +29,7 @@ from sampling_design.checkers.strict import (
     word,
 )
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
-from sampling_design.planning.discrete_plant import DiscretePlant, motion_of
+from sampling_design.planning.discrete_plant import DiscretePlant, discretize
 from sampling_design.planning.evidence import PlanBound, trajectory_of
 from sampling_design.planning.figures import LEFT_OUT, PlanStart
 from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
@@ -52,7 +52,7 @@ _TRAJECTORY = table(
     {"goal": count, "end": count, "at_sample": flag, "reach": positive},
     {"knots": list_of(count), "states": matrix(), "w": matrix(), "point": list_of(list_of(nonnegative, 3))},
 )
-_FLIGHT = ("knots", "states", "w")
+_RESPONSE = ("knots", "states", "w")
 _NODE = table({}, {"variable": count, "multipliers": list_of(list_of(number, 2))})
 _PROOF = table({"level": positive, "value": number, "rows": list_of(list_of(count, 2)), "tree": list_of(_NODE)})
 _ROBUSTNESS = table(
@@ -76,7 +76,7 @@ _TREE: Reader = table(
         "reached": list_of(positive),
         "cost": number,
         "ratio": positive,
-        "attacks": list_of(_TRAJECTORY),
+        "trajectories": list_of(_TRAJECTORY),
         "no_better_than": or_nothing(_PROOF),
         "no_cheaper_than": or_nothing(_PROOF),
     },
@@ -121,7 +121,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
         chosen = problem.chosen(schedule)
         if not problem.is_admissible(chosen):
             raise refuse("schedule", "does not keep the hours, spacings or limits of the requirement")
-        bound = _bound(problem, motion_of(problem), tree)
+        bound = _bound(problem, discretize(problem), tree)
         found = proven_plan(problem, chosen, bound, tree["status"])
         for key, mine in (("reached", found.reached), ("cost", found.cost), ("ratio", found.ratio)):
             given = np.asarray(tree[key])
@@ -171,26 +171,33 @@ def _robustness(data: Tree | None, found: Plan) -> PlanRobustness | None:
     return PlanRobustness(time_unit=data["time_unit"], lost=data["lost"], **arrays)
 
 
-def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Tree) -> PlanBound:
-    trajectories = tree["attacks"]
+def _bound(problem: PlanProblem, discrete: DiscretePlant, tree: Tree) -> PlanBound:
+    trajectories = tree["trajectories"]
     for k, trajectory in enumerate(trajectories):
-        own = [key for key in (*_FLIGHT, "point") if key in trajectory]
-        if own not in ([*_FLIGHT], ["point"]) or trajectory["goal"] >= len(problem.goals):
-            raise refuse(f"attacks[{k}]", "must be a trajectory (knots, states, w) or a tangent (point), of a goal")
+        own = [key for key in (*_RESPONSE, "point") if key in trajectory]
+        if own not in ([*_RESPONSE], ["point"]) or trajectory["goal"] >= len(problem.goals):
+            raise refuse(
+                f"trajectories[{k}]", "must be a trajectory (knots, states, w) or a tangent (point), of a goal"
+            )
         if "point" in trajectory:
             cells = trajectory["point"]
             inside = all(a % 1 == b % 1 == 0 and a < problem.steps and b < len(problem.v_bound) for a, b, _ in cells)
-            if not inside or any(share > 1 for _, _, share in cells) or not problem.goals[trajectory["goal"]].spread:
+            if (
+                not inside
+                or any(share > 1 for _, _, share in cells)
+                or not problem.goals[trajectory["goal"]].stochastic
+            ):
                 raise refuse(
-                    f"attacks[{k}]", "touches beside the grid and its sensors, or is of a goal that is guaranteed"
+                    f"trajectories[{k}]",
+                    "touches beside the grid and its sensors, or is of a goal that is guaranteed",
                 )
             continue
-        knots, steps, q = trajectory["knots"], len(trajectory["w"]), motion.G.shape[1]
+        knots, steps, q = trajectory["knots"], len(trajectory["w"]), discrete.G.shape[1]
         rising = all(a < b for a, b in pairwise(knots)) and knots[:1] == [0]
-        shaped = trajectory["w"].shape == (steps, q) and trajectory["states"].shape == (len(knots), motion.n)
+        shaped = trajectory["w"].shape == (steps, q) and trajectory["states"].shape == (len(knots), discrete.n)
         if not rising or not shaped or knots[-1] > steps:
-            raise refuse(f"attacks[{k}]", "has knots, states and w that do not fit together")
-    found = tuple(trajectory_of(problem, motion, trajectory) for trajectory in trajectories)
+            raise refuse(f"trajectories[{k}]", "has knots, states and w that do not fit together")
+    found = tuple(trajectory_of(problem, discrete, trajectory) for trajectory in trajectories)
     return PlanBound(
         found,
         _proof(tree["no_better_than"], len(found), "no_better_than"),
@@ -202,7 +209,7 @@ def _proof(data: Tree | None, trajectories: int, place: str) -> CostProof | None
     if data is None:
         return None
     if len(data["tree"]) > MOST_TREE or any(row[0] >= trajectories for row in data["rows"]):
-        raise refuse(place, "has a tree beyond all measure, or rows of none of the `attacks`")
+        raise refuse(place, "has a tree beyond all measure, or rows of none of the `trajectories`")
     nodes = iter(data["tree"])
     tree = _tree(nodes, place)
     if next(nodes, None) is not None:

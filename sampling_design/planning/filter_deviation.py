@@ -32,16 +32,16 @@ MOST_REACH = 1e9  # what is known no better than this many tolerances is not kno
 class GridFilter:
     """Variances of the goals that are standard deviations, on the grid of one problem."""
 
-    def __init__(self, problem: PlanProblem, motion: DiscretePlant, work: Budget | None = None):
-        self.problem, self.motion = problem, motion
+    def __init__(self, problem: PlanProblem, discrete: DiscretePlant, work: Budget | None = None):
+        self.problem, self.discrete = problem, discrete
         self.work = Budget(counted=True) if work is None else work
-        F, Q = discounted_flow(motion.A, motion.N @ motion.N.T, [motion.step])
+        F, Q = discounted_flow(discrete.A, discrete.N @ discrete.N.T, [discrete.step])
         self.F, self.Q = F[0], symmetrise(Q[0])
-        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
+        self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
 
     def variances(self, chosen: Mask, *, wide: bool = True, periods: int = PERIODS) -> tuple[Array, Array]:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
-        n, (B, M, p) = self.motion.n, chosen.shape
+        n, (B, M, p) = self.discrete.n, chosen.shape
         P = np.tile(np.eye(n) * (WIDE if wide else 0.0), (B, 1, 1))
         read = [[(j, chosen[:, i, j]) for j in range(p) if chosen[:, i, j].any()] for i in range(M)]
         lost = np.zeros(B, dtype=bool)
@@ -53,7 +53,7 @@ class GridFilter:
                 P = propagate(P, self.F, self.Q)
                 before[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows)
                 for j, mask in read[i]:
-                    h = self.motion.S[j]
+                    h = self.discrete.S[j]
                     Ph = P @ h
                     P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
                 after[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows) if read[i] else before[i]
@@ -73,7 +73,7 @@ class GridFilter:
         before, after = self.variances(chosen)
         found = np.zeros(before.shape[:2])
         for g, goal in enumerate(self.problem.goals):
-            if goal.spread:
+            if goal.stochastic:
                 values = np.where(self._wanted(goal, chosen), (after if own(goal) else before)[:, g], 0.0)
                 found[:, g] = np.sqrt(np.maximum(values.max(axis=1), 0.0)) / goal.tolerance
         return found
@@ -113,9 +113,9 @@ class GridFilter:
         for _, after in reversed(periods):
             for k in range(i, -1, -1):
                 if not skip:  # dV/dz = -(h'P lam)^2, and lam before the samples is (I - H'z H P) lam
-                    gain = self.motion.S @ after[k] @ lam
+                    gain = self.discrete.S @ after[k] @ lam
                     slope[k] += gain**2
-                    lam = lam - self.motion.S.T @ (z[k] * gain)
+                    lam = lam - self.discrete.S.T @ (z[k] * gain)
                 lam, skip = self.F.T @ lam, False
             i = M - 1
         reach = float(np.sqrt(max(value + float(np.sum(slope * z)), 0.0)))
@@ -127,10 +127,10 @@ class GridFilter:
 
     def _periods(self, z: Array, g: int) -> list[tuple[Array, Array]]:
         """Covariances before and after every step's samples, period by period from P = 0."""
-        n, M = self.motion.n, len(z)
+        n, M = self.discrete.n, len(z)
         P, last = np.zeros((n, n)), 0.0
         row = self.rows[g] / self.problem.goals[g].tolerance
-        information = np.einsum("mp,pi,pj->mij", z, self.motion.S, self.motion.S)
+        information = np.einsum("mp,pi,pj->mij", z, self.discrete.S, self.discrete.S)
         some, periods = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
         for _ in range(TANGENT_PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), M * n)

@@ -1,6 +1,6 @@
-"""Hidden trajectories: motions that reach a goal's tolerance, and where in the period they would be seen.
+"""Hidden trajectories: trajectories that reach a goal's tolerance, and where in the period they would be seen.
 
-A motion whose every output stays below its bound wherever a schedule measures is admissible for that schedule: with
+A trajectory whose every output stays below its bound wherever a schedule measures is admissible for that schedule: with
 reach r and a schedule that sees nothing, no estimator guarantees less than r. Scaled down, it also bounds schedules
 that would see it: by r over the largest ratio of output to bound that they measure. Moved by whole steps it is an
 trajectory again.
@@ -21,9 +21,9 @@ MOST_ENDS = 400  # ends of one trajectory, the strongest, that are looked at whe
 
 @dataclass(frozen=True, eq=False)
 class HiddenTrajectory:
-    """A motion against one goal, or a tangent of its variance where it is a standard deviation.
+    """A trajectory against one goal, or a tangent of its variance where it is a standard deviation.
 
-    Of a motion, measurements see it or not. A tangent says that the variance is at least reach^2 less the sum of
+    Of a trajectory, measurements see it or not. A tangent says that the variance is at least reach^2 less the sum of
     `peaks` over what is measured.
     """
 
@@ -34,7 +34,7 @@ class HiddenTrajectory:
     # (M, p): for each step of the period, counted back from the end (0: the end itself), the largest ratio of output to
     # bound over all periods; of a tangent, its slopes
     peaks: Array
-    flight: DisturbedTrajectory | None = None  # None for a tangent
+    response: DisturbedTrajectory | None = None  # None for a tangent
     point: Array | None = None  # (M, p): where a tangent touches, in steps back from the end
 
     @property
@@ -46,18 +46,18 @@ class HiddenTrajectory:
     def weights(self, level: float) -> Array:
         """What measuring at each step back from the end, and sensor, adds; a choice for `level` must add up to 1.
 
-        One for what sees a motion that is scaled to reach just the level; slopes of a tangent, over what is missing.
+        One for what sees a trajectory that is scaled to reach just the level; a tangent's slopes over what is missing.
         """
-        if self.flight is not None:
+        if self.response is not None:
             return np.asarray(self.peaks * (level / self.reach) > HIDDEN, dtype=float)
         missing = (self.reach**2 - level**2) * HIDDEN
         return np.minimum(self.peaks, missing) / missing if missing > 0 else np.ones_like(self.peaks)
 
 
-def peaks_of(outputs: Array, steps: int, at_sample: bool, held: Index | None = None) -> Array:
+def peaks_of(outputs: Array, steps: int, at_sample: bool, unread_steps: Index | None = None) -> Array:
     """Largest |output| (T+1, p) by steps back from the end, folded into one period; the end itself only if asked.
 
-    Results that are out may be anything: those of each output for the last `held` steps (p,).
+    Results that are out may be anything: those of each output for the last `unread_steps` steps (p,).
     """
     T, p = len(outputs), outputs.shape[1]
     periods = -(-T // steps)
@@ -65,7 +65,7 @@ def peaks_of(outputs: Array, steps: int, at_sample: bool, held: Index | None = N
     back[:T] = np.abs(outputs[::-1])
     if not at_sample:
         back[0] = 0.0
-    for i, steps_out in enumerate(() if held is None else held.tolist()):
+    for i, steps_out in enumerate(() if unread_steps is None else unread_steps.tolist()):
         back[: steps_out + 1, i] = 0.0
     return np.asarray(back.reshape(periods, steps, p).max(axis=0))
 
@@ -102,16 +102,16 @@ class HiddenTrajectories:
         """For every end of a trajectory, the ratio that it proves of samples (at, sensor)."""
         back = (np.arange(self.steps)[:, None] - at[None, :]) % self.steps
         peaks = trajectory.peaks[back, sensor[None, :]]
-        seen = np.max(peaks, axis=1, initial=0.0)
+        outputs = np.max(peaks, axis=1, initial=0.0)
         allowed = self.ends[trajectory.goal].copy()
         if trajectory.at_sample:
             there = np.zeros(self.steps, dtype=bool)
             there[at] = True
             allowed &= there
-        if trajectory.flight is None:
+        if trajectory.response is None:
             return np.where(allowed, weighed(trajectory, peaks.sum(axis=1)), 0.0)
         with np.errstate(divide="ignore"):
-            return np.where(allowed, trajectory.reach / np.maximum(seen / HIDDEN, 1.0), 0.0)
+            return np.where(allowed, trajectory.reach / np.maximum(outputs / HIDDEN, 1.0), 0.0)
 
     def swaps(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
         """What the pool proves of `rest` with each option (step, sensor) added."""
@@ -125,12 +125,12 @@ class HiddenTrajectories:
                 ratios = np.where(sampled, ratios, 0.0)
             ends = np.flatnonzero(ratios > 0)
             ends = ends[np.argsort(-ratios[ends], kind="stable")][:MOST_ENDS]
-            seen = trajectory.peaks[(ends[:, None] - step[None, :]) % self.steps, which[None, :]]
-            if trajectory.flight is None:
-                left = np.sqrt(np.maximum(ratios[ends, None] ** 2 - seen, 0.0))
+            outputs = trajectory.peaks[(ends[:, None] - step[None, :]) % self.steps, which[None, :]]
+            if trajectory.response is None:
+                left = np.sqrt(np.maximum(ratios[ends, None] ** 2 - outputs, 0.0))
                 values = np.maximum(values, left.max(axis=0, initial=0.0))
                 continue
             with np.errstate(divide="ignore"):
-                after = np.minimum(ratios[ends, None], trajectory.reach / np.maximum(seen / HIDDEN, 1.0))
+                after = np.minimum(ratios[ends, None], trajectory.reach / np.maximum(outputs / HIDDEN, 1.0))
             values = np.maximum(values, after.max(axis=0, initial=0.0))
         return values

@@ -1,10 +1,10 @@
-"""At most so many samples that see every motion, where nothing but their number counts: by branching, no solver.
+"""At most so many samples that see every trajectory, where nothing but their number counts: by branching, no solver.
 
-    |X| <= N,   X meets V_a, the steps that show a motion, for every motion a
+    |X| <= N,   X meets V_a, the steps that show a trajectory, for every trajectory a
 
-Branching is on the motion that the fewest steps show: its first step is given, or forbidden and its second given, and
-so on. Motions that share no step that is left need one sample each. What comes out is a choice, or the tree of a proof
-that there is none, whose leaves are multipliers of rows of the cover.
+Branching is on the trajectory that the fewest steps show: its first step is given, or forbidden and its second given,
+and so on. Trajectories that share no step that is left need one sample each. What comes out is a choice, or the tree of
+a proof that there is none, whose leaves are multipliers of rows of the cover.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array32 = npt.NDArray[np.float32]
 
 MOST_NODES = 10_000  # nodes of a tree, beyond which it is given up
 DEEPEST = 300  # branches above one another, at most: a tree is walked by calls within calls
-MOST_ENTRIES = 20_000_000  # motions, their ends and the steps of a program, beyond which it is not written out
+MOST_ENTRIES = 20_000_000  # trajectories, their ends and the steps of a program, beyond which it is not written out
 TIE = 1e-9  # costs are equal within this share
 
 
@@ -34,41 +34,41 @@ TIE = 1e-9  # costs are equal within this share
 class HittingSet:
     """What a search among so few samples came to."""
 
-    chosen: Mask | None = None  # (M, p): what sees every motion
+    chosen: Mask | None = None  # (M, p): what sees every trajectory
     none: bool = False  # whether there is no such choice; neither if the search was given up
     proof: CostProof | None = None  # that there is none; None also where it takes what no proof counts
 
 
 def smallest_hitting_set(
-    cover: CoveringRows,
+    covering: CoveringRows,
     pool: HiddenTrajectories,
     level: float,
     below: float,
     work: Budget,
     undetected_at: Sequence[Mask] = (),
 ) -> HittingSet | None:
-    """A choice below a cost, within the limits, that sees every motion at a level, or that there is none.
+    """A choice below a cost, within the limits, that sees every trajectory at a level, or that there is none.
 
     None where more than the number of samples counts, nothing limits it, or the program is too large to be written
     out: then a solver is asked. `undetected_at`: masks that a choice must meet, too, which no proof counts.
     """
-    most = _most(cover, below)
+    most = _most(covering, below)
     reaching = [a for a, trajectory in enumerate(pool.trajectories) if trajectory.reach >= level]
-    size = len(reaching) * cover.problem.steps * cover.columns
-    if most < 0 or size > MOST_ENTRIES or any(pool.trajectories[a].flight is None for a in reaching):
+    size = len(reaching) * covering.problem.steps * covering.columns
+    if most < 0 or size > MOST_ENTRIES or any(pool.trajectories[a].response is None for a in reaching):
         return None
-    return _Search(cover, pool, level, below, most, reaching, work).run(undetected_at)
+    return _Search(covering, pool, level, below, most, reaching, work).run(undetected_at)
 
 
-def _most(cover: CoveringRows, below: float) -> int:
+def _most(covering: CoveringRows, below: float) -> int:
     """Samples of a choice below a cost and within the limits, at most; -1 where more than their number counts."""
-    problem, cost, (A, b) = cover.problem, cover.cost, cover.frame
-    plain = problem.spacing <= 1 and bool(np.all(problem.sensor_spacing[cover.used] <= 1))
-    plain = plain and bool(np.all(problem.longest_use[cover.used] >= problem.steps))
-    if not (plain and cover.whole and cost[0] > 0 and np.all(cost == cost[0])):
+    problem, cost, (A, b) = covering.problem, covering.cost, covering.frame
+    plain = problem.spacing <= 1 and bool(np.all(problem.sensor_spacing[covering.used] <= 1))
+    plain = plain and bool(np.all(problem.longest_use[covering.used] >= problem.steps))
+    if not (plain and covering.whole and cost[0] > 0 and np.all(cost == cost[0])):
         return -1
     fewer = [np.ceil(below / float(cost[0]) * (1 - TIE)) - 1] if np.isfinite(below) else []
-    fewer += [np.floor(b[row] / A[row, 0] * (1 + TIE)) for row in cover.limits]
+    fewer += [np.floor(b[row] / A[row, 0] * (1 + TIE)) for row in covering.limits]
     return int(min(fewer)) if fewer else -1
 
 
@@ -77,7 +77,7 @@ class _Search:
 
     def __init__(
         self,
-        cover: CoveringRows,
+        covering: CoveringRows,
         pool: HiddenTrajectories,
         level: float,
         below: float,
@@ -85,33 +85,40 @@ class _Search:
         reaching: list[int],
         work: Budget,
     ):
-        self.cover, self.pool, self.level, self.below, self.most, self.work = cover, pool, level, below, most, work
-        self.left, self.found, self.frame = MOST_NODES, False, cover.frame[0].shape[0]
-        self.given = np.zeros(cover.columns + 1, dtype=bool)
+        self.covering, self.pool, self.level, self.below, self.most, self.work = (
+            covering,
+            pool,
+            level,
+            below,
+            most,
+            work,
+        )
+        self.left, self.found, self.frame = MOST_NODES, False, covering.frame[0].shape[0]
+        self.given = np.zeros(covering.columns + 1, dtype=bool)
         self.given[-1] = True  # the owner of what is asked for in any case
         self.keys: list[Key] = []
-        steps, shows, owners = cover.problem.steps, list[Array32](), list[Index]()
+        steps, shows, owners = covering.problem.steps, list[Array32](), list[Index]()
         for a in reaching:
             trajectory = pool.trajectories[a]
-            seen = cover.view(trajectory, level)[:, 0] > 0
-            ends, owner = np.flatnonzero(pool.ends[trajectory.goal]), cover.columns
+            detects = covering.view(trajectory, level)[:, 0] > 0
+            ends, owner = np.flatnonzero(pool.ends[trajectory.goal]), covering.columns
             if trajectory.at_sample:  # asked for only where its end is a sample, which does not see it itself
-                ends = ends[(cover.sample_of[ends] >= 0) & ~seen[0]]
-            owners.append(cover.sample_of[ends] if trajectory.at_sample else np.full(ends.size, owner))
-            shows.append(seen[(ends[:, None] - cover.at[None, :]) % steps].astype(np.float32))
+                ends = ends[(covering.sample_of[ends] >= 0) & ~detects[0]]
+            owners.append(covering.sample_of[ends] if trajectory.at_sample else np.full(ends.size, owner))
+            shows.append(detects[(ends[:, None] - covering.at[None, :]) % steps].astype(np.float32))
             self.keys += [(a, end) for end in ends.tolist()]
-        none = np.zeros((0, cover.columns), dtype=np.float32)
+        none = np.zeros((0, covering.columns), dtype=np.float32)
         self.shows, self.owner = np.concatenate([none, *shows]), np.concatenate([np.zeros(0, dtype=np.intp), *owners])
 
     def run(self, undetected_at: Sequence[Mask]) -> HittingSet:
         """The search from the root."""
-        own = self.cover.frame[0][[-1]].toarray()  # step 0 where it is fixed, else any step: a plan has a sample
-        masks = [np.isin(np.arange(own.size), self.cover.place[where]) for where in undetected_at]
+        own = self.covering.frame[0][[-1]].toarray()  # step 0 where it is fixed, else any step: a plan has a sample
+        masks = [np.isin(np.arange(own.size), self.covering.place[where]) for where in undetected_at]
         self.shows = np.concatenate([self.shows, np.array([own[0], *masks], dtype=np.float32)])
         self.owner = np.append(self.owner, np.full(1 + len(masks), own.size))
-        tree = self._node(np.arange(len(self.shows)), self.cover.ceiling(self.below) > 0, 0)
+        tree = self._node(np.arange(len(self.shows)), self.covering.ceiling(self.below) > 0, 0)
         if tree is None:
-            return HittingSet(self.cover.choice(self.given[:-1].astype(float))) if self.found else HittingSet()
+            return HittingSet(self.covering.choice(self.given[:-1].astype(float))) if self.found else HittingSet()
         return HittingSet(none=True, proof=self._proof_of(tree))
 
     def _node(self, unmet: Index, free: Mask, depth: int) -> CostTree | None:
@@ -147,17 +154,17 @@ class _Search:
         return tree
 
     def _closed(self, row: np.intp) -> CostLeaf:
-        """Where a motion is shown by nothing that is left: its row alone proves any cost."""
+        """Where a trajectory is shown by nothing that is left: its row alone proves any cost."""
         return CostLeaf((int(row),), (self.below,))
 
     def _counted(self, rows: Index) -> CostLeaf:
-        """Where so many motions ask for one sample each: the samples cost too much, or there are too many of them."""
-        price, count = float(self.cover.cost[0]), int(self.given[:-1].sum()) + len(rows)
+        """Where so many trajectories ask for one sample each: the samples cost too much, or are too many."""
+        price, count = float(self.covering.cost[0]), int(self.given[:-1].sum()) + len(rows)
         missing = self.below - price * count
         if missing <= TIE * self.below:
             return CostLeaf(tuple(rows.tolist()), (price,) * len(rows))
-        A, b = self.cover.frame
-        limit = min(self.cover.limits, key=lambda row: b[row] / A[row, 0])
+        A, b = self.covering.frame
+        limit = min(self.covering.limits, key=lambda row: b[row] / A[row, 0])
         value = missing / (b[limit] - A[limit, 0] * count)
         each = price - value * A[limit, 0]
         return CostLeaf((*rows.tolist(), limit - self.frame), (*(each,) * len(rows), value))
@@ -172,7 +179,7 @@ class _Search:
 
         numbered = tree.numbered(lambda row: place.get(row, self.frame + row))
         proof = CostProof(self.level, self.below, tuple(self.keys[row] for row in sorted(place)[:-1]), numbered)
-        return replace(proof, value=min(self.below, proven_cost(self.cover, self.pool, proof)))
+        return replace(proof, value=min(self.below, proven_cost(self.covering, self.pool, proof)))
 
 
 def _apart(shows: Array32, counts: Array32, enough: int) -> Index:

@@ -23,7 +23,7 @@ from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.coarser_grid import coarser, lifted_choices, lifted_trajectories
 from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
-from sampling_design.planning.discrete_plant import motion_of
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice, tighter_margins
@@ -190,8 +190,8 @@ class _Planning:
         self, problem: PlanProblem, work: float, progress: Progress | PlanProgress | None, first: float = COARSER
     ):
         self.problem, self.first = problem, first
-        self.motion = motion_of(problem)
-        self.oracle = AccuracyOracle(problem, self.motion)
+        self.discrete = discretize(problem)
+        self.oracle = AccuracyOracle(problem, self.discrete)
         self.oracle.work.seconds = self.oracle.work.limit = work
         if not isinstance(progress, PlanProgress):
             progress = PlanProgress(progress, problem, self.oracle.work)
@@ -201,7 +201,7 @@ class _Planning:
         """Whether the densest choice was judged to keep every tolerance."""
         self.least: CostProof | None = None
         """The bound on the cost, once it is proven."""
-        self.held = FeasibleChoices(problem, self.oracle.work, self._ratios)
+        self.feasible = FeasibleChoices(problem, self.oracle.work, self._ratios)
 
     def started(self) -> list[Mask]:
         """What a search on a coarser grid holds: it is as good on this one, which has all of its times.
@@ -219,17 +219,17 @@ class _Planning:
         try:
             run.sought()
         except KeyboardInterrupt:
-            self.search.held += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run)]
+            self.search.incumbents += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run)]
             raise
         except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
             pass
         work.spend(run.oracle.work.spent)
-        self.search.add(lifted_trajectories(self.oracle, run.motion, run.search.pool.trajectories), 1.0)
+        self.search.add(lifted_trajectories(self.oracle, run.discrete, run.search.pool.trajectories), 1.0)
         return self._lifted(run)
 
     def _lifted(self, run: _Planning) -> list[Mask]:
         """What a search on a coarser grid holds, the last first, on this one."""
-        return lifted_choices(self.problem, [chosen for chosen, _ in run.search.held[::-1]])
+        return lifted_choices(self.problem, [chosen for chosen, _ in run.search.incumbents[::-1]])
 
     def sought(self) -> ProvenChoice:
         """What the search for the requirement's aim comes to, proven."""
@@ -238,7 +238,7 @@ class _Planning:
     def _cheapest(self) -> ProvenChoice:
         """The least cost that keeps every tolerance, or nearly so."""
         search, late = self.search, self.problem.timing_tolerance
-        self._require_seen()
+        self._require_detectable()
         worst, trajectories = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(trajectories, 0.0 if self.oracle.few else 1.0)
         if worst > 1:
@@ -252,14 +252,14 @@ class _Planning:
         search.seed(1.0)
         search.starts = self.started()
         search.share = SOUGHT
-        margins = list(NARROW_MARGINS if search.spread else MARGINS[:1] if late else MARGINS)
+        margins = list(NARROW_MARGINS if search.stochastic else MARGINS[:1] if late else MARGINS)
         for margin in margins:
             again = True
             while again:
                 search.found.chosen, search.found.complete = None, False
                 search.cheapest(1 - margin, ROUNDS)
-                last = self.held.proven(everything if search.found.chosen is None else search.found.chosen)
-                again = last.worst > 1 and not search.late and self._farther(last)
+                last = self.feasible.proven(everything if search.found.chosen is None else search.found.chosen)
+                again = last.worst > 1 and not search.late and self._needs_longer_past(last)
             if last.worst <= 1 or search.late:
                 break
             margins += tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
@@ -269,9 +269,9 @@ class _Planning:
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance, and what no choice can do."""
         search, last, everything = self.search, self._cheapest(), densest(self.problem)
-        if not search.held and last.worst > 1:
+        if not search.incumbents and last.worst > 1:
             return self._nearest(last)
-        best = self.held.cheapest([chosen for chosen, _ in search.held], everything)
+        best = self.feasible.cheapest([chosen for chosen, _ in search.incumbents], everything)
         sure, cost = best is last, self.problem.cost(best.chosen)
         frame = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         search.sharpen(1 / EASED**2, cost)
@@ -279,7 +279,7 @@ class _Planning:
         self.least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
         self.progress.bounded(self.least.value)
         rival = self._better(best, cost)
-        best = self.held.sharpest(rival.held, best)
+        best = self.feasible.sharpest(rival.incumbents, best)
         known, keys = rival.found.out_of_reach, rival.found.keys
         self.oracle.work.extend(*AFTER[1])
         ratio = out_of_reach(
@@ -292,21 +292,21 @@ class _Planning:
 
         Raises KeyboardInterrupt if it holds nothing yet.
         """
-        held, work = self.search.held, self.oracle.work
-        if not held and not self.kept:
+        incumbents, work = self.search.incumbents, self.oracle.work
+        if not incumbents and not self.kept:
             raise KeyboardInterrupt
         work.stop()
         if self.problem.requirement.aim == "cheapest":
             try:
-                best = self.held.cheapest([chosen for chosen, _ in held], densest(self.problem))
+                best = self.feasible.cheapest([chosen for chosen, _ in incumbents], densest(self.problem))
             except UndecidedError:  # the densest one was judged too well, and nothing else is held
                 raise KeyboardInterrupt from None
         else:
-            best = self.held.sharpest(held, self.held.proven(held[-1][0]))
+            best = self.feasible.sharpest(incumbents, self.feasible.proven(incumbents[-1][0]))
         bound = gathered(self.search.pool, None, self.least)
         return plan_of(self.problem, best.chosen, best.proof, bound, "interrupted")
 
-    def _farther(self, found: ProvenChoice) -> bool:
+    def _needs_longer_past(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
         judged, _ = self.oracle.judge(found.chosen)
         if judged * (1 + LONGER_PAST) >= found.worst or self.problem.timing_tolerance:  # late samples make it worse
@@ -321,7 +321,7 @@ class _Planning:
         Raises InfeasibleRequirementError if that is above 1: it is what can be kept.
         """
         rival = self._better(best, self.problem.cost(best.chosen))
-        best = self.held.sharpest(rival.held, best)
+        best = self.feasible.sharpest(rival.incumbents, best)
         best.require_bounded()
         if best.worst > 1:
             text, what = "No plan with these spacings and uses was found that keeps the tolerances", "spacing"
@@ -348,49 +348,49 @@ class _Planning:
     def _most_accurate(self) -> ProvenChoice:
         """The least ratio of accuracy to tolerance that the limits allow, as far as the search comes."""
         search = self.search
-        self._require_seen()
-        for chosen in [self._seeing(sparse(self.problem)), *self.started()]:
+        self._require_detectable()
+        for chosen in [self._detecting(sparse(self.problem)), *self.started()]:
             worst, trajectories = self.oracle.judge(chosen)
             search.add(trajectories, 0.0)
             if worst < search.found.worst:
                 search.keep(chosen, worst)
         search.seed(search.found.worst * 0.9)
         search.improve(ROUNDS)
-        last = self._held_last()
-        while self._farther(last) and not search.late:
+        last = self._proven_incumbent()
+        while self._needs_longer_past(last) and not search.late:
             search.keep(last.chosen, self.oracle.judge(last.chosen)[0])
             search.improve(ROUNDS)
-            last = self._held_last()
+            last = self._proven_incumbent()
         return last
 
     def most_accurate(self) -> Plan:
         """The least ratio of accuracy to tolerance that the limits allow, and what no choice can do."""
         search = self.search
-        best = self.held.sharpest(search.held, self._most_accurate())
+        best = self.feasible.sharpest(search.incumbents, self._most_accurate())
         limit, known, keys = limit_of(self.problem, 0.0), search.found.out_of_reach, search.found.keys
         work = self.oracle.work
         work.extend(*AFTER[1])
         ratio = out_of_reach(
-            search.cover, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
+            search.covering, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
         )
         if ratio is not None:
             self.progress.bounded(ratio.level)
         return self._record(best, gathered(search.pool, ratio, None))
 
-    def _held_last(self) -> ProvenChoice:
+    def _proven_incumbent(self) -> ProvenChoice:
         """What the search holds, proven."""
         assert self.search.found.chosen is not None
-        return self.held.proven(self.search.found.chosen)
+        return self.feasible.proven(self.search.found.chosen)
 
     def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
         proof, ratios = ratios_of(self.problem, chosen)
         for part in proof[0].proof if proof[0] is not None else ():
             for gains in part.gains:
-                self.oracle.work.add(GAINS, len(gains) * self.motion.n)
+                self.oracle.work.add(GAINS, len(gains) * self.discrete.n)
         return proof, ratios
 
-    def _require_seen(self) -> None:
+    def _require_detectable(self) -> None:
         """Refuse goals that not even all that is allowed shows.
 
         Raises InfeasibleRequirementError if a mode that never decays moves a goal and is hidden at every allowed time.
@@ -398,26 +398,26 @@ class _Planning:
         undetected = self.oracle.hidden(self.problem.allowed)
         if undetected is not None:
             unit = self.problem.plant.time_unit
-            finer = finer_grid(self.problem, self.motion, self.oracle.rows)
+            finer = finer_grid(self.problem, self.discrete, self.oracle.rows)
             help_ = "Allow other hours or another sensor."
             if finer is not None:
                 help_ = f"The grid hides it: one of {spoken(finer, unit)} shows it."
             raise InfeasibleRequirementError(
                 "Not even measuring at every allowed time shows all that `accuracy` asks for: "
-                f"{modes_of(self.motion, undetected)} never decays and stays hidden. {help_}",
+                f"{modes_of(self.discrete, undetected)} never decays and stays hidden. {help_}",
                 "grid" if finer is not None else "accuracy",
             )
 
-    def _seeing(self, chosen: Mask) -> Mask:
-        """The choice, or one within the limits that hides no motion that never decays.
+    def _detecting(self, chosen: Mask) -> Mask:
+        """The choice, or one within the limits that hides no trajectory that never decays.
 
         Raises InfeasibleRequirementError if the limits leave none.
         """
         search = self.search
         while (undetected := self.oracle.hidden(chosen)) is not None:
-            search.see(undetected, 0.0)
-            model = search.cover.model([], [], 0.0, search.undetected_at)
-            other, _ = cheapest(search.cover, model, np.zeros(model.c.size), self.oracle.work)
+            search.require_detection(undetected, 0.0)
+            model = search.covering.model([], [], 0.0, search.undetected_at)
+            other, _ = cheapest(search.covering, model, np.zeros(model.c.size), self.oracle.work)
             if other is None:
                 raise InfeasibleRequirementError(
                     "No choice within the limits shows all that `accuracy` asks for: a trajectory that "
@@ -430,10 +430,10 @@ class _Planning:
     def _refuse(self, trajectories: list[HiddenTrajectory]) -> None:
         """Say which goals not even all that is allowed keeps, each with what it does keep."""
         ratios = np.zeros(len(self.problem.goals))
-        if self.oracle.spread is not None:
-            ratios = np.asarray(self.oracle.spread.worst(self.problem.allowed[None])[0], dtype=float).copy()
+        if self.oracle.grid_filter is not None:
+            ratios = np.asarray(self.oracle.grid_filter.worst(self.problem.allowed[None])[0], dtype=float).copy()
         for trajectory in trajectories:
-            if trajectory.flight is not None:
+            if trajectory.response is not None:
                 ratios[trajectory.goal] = max(ratios[trajectory.goal], trajectory.reach)
         each = list(zip(self.problem.goals, ratios.tolist(), strict=True))
         kept = ", ".join(f"{g.name} {short(g.tolerance * r)} instead of {short(g.tolerance)}" for g, r in each if r > 1)

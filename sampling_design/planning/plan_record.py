@@ -15,14 +15,14 @@ from sampling_design.errors import NotDetectableError
 from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.dates import PlanDates, plan_dates
-from sampling_design.planning.discrete_plant import motion_of
-from sampling_design.planning.disturbed import bears
-from sampling_design.planning.evidence import broken_below, holds, proof_to_dict, trajectory_to_dict
+from sampling_design.planning.discrete_plant import discretize
+from sampling_design.planning.disturbed import robustness_holds
+from sampling_design.planning.evidence import bound_holds, broken_below, proof_to_dict, trajectory_to_dict
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.plan_folder import write_plan
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.start import starts
+from sampling_design.planning.start import start_holds
 from sampling_design.plants.functional import FunctionalPlant, is_about
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Column, plain, selected
@@ -145,7 +145,7 @@ class Plan(PlanFigures):
         free, ends = problem.is_free, [problem.ends(g) for g in range(len(problem.goals))]
         limited, most = CoveringRows(problem, fixed=free), limit_of(problem, self.cost)
         loose = CoveringRows(without_limits(problem), fixed=free)
-        return holds(self.bound, loose, limited, motion_of(problem), ends, most)
+        return bound_holds(self.bound, loose, limited, discretize(problem), ends, most)
 
     def _extras_hold(self) -> bool:
         """Whether certificate, start and robustness are of this plan, and proven anew."""
@@ -155,9 +155,9 @@ class Plan(PlanFigures):
                 return False
             if not self.certificate.verify():
                 return False
-        if self.start is not None and not starts(self, self.start):
+        if self.start is not None and not start_holds(self, self.start):
             return False
-        return self.robustness is None or bears(self, self.robustness)
+        return self.robustness is None or robustness_holds(self, self.robustness)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data with everything that a re-check needs."""
@@ -165,7 +165,7 @@ class Plan(PlanFigures):
         return {
             "format": FORMAT,
             **selected(self, "status plant requirement schedule reached cost ratio"),
-            "attacks": plain([trajectory_to_dict(trajectory) for trajectory in bound.trajectories]),
+            "trajectories": plain([trajectory_to_dict(trajectory) for trajectory in bound.trajectories]),
             "no_better_than": plain(bound.ratio and proof_to_dict(bound.ratio)),
             "no_cheaper_than": plain(bound.cost and proof_to_dict(bound.cost)),
             **selected(self, "certificate robustness left_out start"),
@@ -204,8 +204,8 @@ class Plan(PlanFigures):
         if self.certificate is not None:
             eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
             part = self.certificate.plant
-            shown = ", ".join(part.wanted.names) if isinstance(part, FunctionalPlant) else "the whole state"
-            rows.append(("certificate", f"the samples show {shown}; rate {eta}"))
+            certified = ", ".join(part.wanted.names) if isinstance(part, FunctionalPlant) else "the whole state"
+            rows.append(("certificate", f"the samples show {certified}; rate {eta}"))
         rows += [("left out", self.unsaid())] if self.left_out else []
         return [*rows, ("status", self.status)]
 
@@ -223,7 +223,7 @@ class Plan(PlanFigures):
         """Say what the plan keeps, and what no other can."""
         unit = "" if self.problem.counts else f", at a cost of {short(self.cost)},"
         parts = [
-            f"{g.name} within {short(v, 3)}{' ' * bool(g.unit)}{g.unit}{' (standard deviation)' * g.spread}"
+            f"{g.name} within {short(v, 3)}{' ' * bool(g.unit)}{g.unit}{' (standard deviation)' * g.stochastic}"
             for v, g in zip(self.reached, self.goals, strict=True)
         ]
         text = f"{counted(self.samples, 'sample')} every {spoken(self.schedule.period, self.plant.time_unit)}{unit} "
@@ -242,11 +242,11 @@ class Plan(PlanFigures):
 
     def _for_less(self, least: float) -> str:
         """What a cheaper plan breaks, and what of it is not decided, in words."""
-        cover = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
+        covering = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         broken = [
-            f"{self.goals[g].name}{' (standard deviation)' * self.goals[g].spread} at "
+            f"{self.goals[g].name}{' (standard deviation)' * self.goals[g].stochastic} at "
             + (f"one of {len(steps)} times" if len(steps) > 1 else "one time")
-            for g, steps in broken_below(self.bound, cover).items()
+            for g, steps in broken_below(self.bound, covering).items()
         ]
         goals = " or ".join(broken)
         text = f" At a lower cost, disturbances that no sample shows take {goals} of the period beyond the tolerance."
@@ -279,7 +279,7 @@ def limit_of(problem: PlanProblem, cost: float) -> float:
 
 def deviation_of(problem: PlanProblem, chosen: Mask) -> StandardDeviation | None:
     """The standard deviations of a choice's goals of that kind; None if it has none."""
-    goals = [goal for goal in problem.goals if goal.spread]
+    goals = [goal for goal in problem.goals if goal.stochastic]
     if not goals:
         return None
     bounded = chosen & np.isfinite(problem.v_deviation)
@@ -303,9 +303,9 @@ def reached(
     if proof is not None:
         values[bounded] = _bounded(problem, proof, bounded)
     if deviation is not None:
-        spread = [k for k, goal in enumerate(problem.goals) if goal.spread]
-        on_grid = GridFilter(problem, motion_of(problem)).worst(chosen[None])[0]
-        for k, worst in zip(spread, deviation.worst.tolist(), strict=True):
+        stochastic = [k for k, goal in enumerate(problem.goals) if goal.stochastic]
+        on_grid = GridFilter(problem, discretize(problem)).worst(chosen[None])[0]
+        for k, worst in zip(stochastic, deviation.worst.tolist(), strict=True):
             goal = problem.goals[k]
             values[k] = worst if goal.at == "all times" else float(on_grid[k]) * goal.tolerance
     return values

@@ -38,12 +38,12 @@ class RowGoal:
     tolerance: float
     at: str  # "all times", "after each sample" or "given times"
     steps: Array  # grid times of "given times"
-    spread: bool = False
+    stochastic: bool = False
     """Whether it is a standard deviation, else guaranteed."""
 
     def when(self) -> str:
         """At which times, and of which kind, in words."""
-        return f"standard deviation, {self.at}" if self.spread else self.at
+        return f"standard deviation, {self.at}" if self.stochastic else self.at
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class PlanProblem:
     @property
     def guaranteed(self) -> list[int]:
         """Places of the goals that are guaranteed, and no standard deviations."""
-        return [g for g, goal in enumerate(self.goals) if not goal.spread]
+        return [g for g, goal in enumerate(self.goals) if not goal.stochastic]
 
     def ends(self, g: int) -> Mask:
         """Steps at which a hidden trajectory against a goal may end."""
@@ -217,8 +217,8 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     vague = [t.noise_deviation is None or t.detection_limit is not None for t in terms]
     deviation = np.array([np.inf if so else t.noise_deviation for so, t in zip(vague, terms, strict=True)])
     says = np.zeros(len(terms), dtype=bool)
-    for spread, size in ((False, bound), (True, deviation)):
-        says |= np.isfinite(size) & any(goal.spread == spread for goal in goals)
+    for stochastic, size in ((False, bound), (True, deviation)):
+        says |= np.isfinite(size) & any(goal.stochastic == stochastic for goal in goals)
     if not (allowed & says).any():
         raise InfeasibleRequirementError(
             "No sensor that may be measured has a `noise_bound` or `noise_deviation` that its readings are sure to "
@@ -258,7 +258,7 @@ def _delays(
             found[k] = np.multiply(result_span(f"sensors.{name}.result_delay", term.result_delay, unit), factor)
     if not found.any():
         return None
-    if any(goal.spread for goal in goals):
+    if any(goal.stochastic for goal in goals):
         raise ArgumentError("`result_delay` is for goals that are guaranteed, not for standard deviations.")
     after = next((goal.name for goal in goals if goal.at == "after each sample"), None)
     if after is not None:
@@ -380,8 +380,8 @@ def _check_bounds(plant: Plant, requirement: PlanRequirement, terms: list[Sensor
         )
     if any(t.noise_bound == 0 for t in terms):
         raise ArgumentError("`noise_bound` must be positive in a plan, got 0: give the sensor's resolution.")
-    for spread, of, size in ((False, "w_bound", "noise_bound"), (True, "w_intensity", "noise_deviation")):
-        asks = [goal.name for goal in goals if goal.spread == spread]
+    for stochastic, of, size in ((False, "w_bound", "noise_bound"), (True, "w_intensity", "noise_deviation")):
+        asks = [goal.name for goal in goals if goal.stochastic == stochastic]
         if asks and getattr(requirement, of) is None:
             raise ArgumentError(f"`{of}` is missing: accuracy of {asks[0]} needs it; 0 for none.")
         if asks and all(getattr(t, size) is None for t in terms):
@@ -391,6 +391,6 @@ def _check_bounds(plant: Plant, requirement: PlanRequirement, terms: list[Sensor
 def _intensities(plant: Plant, requirement: PlanRequirement, goals: tuple[RowGoal, ...]) -> Array:
     """Intensity of each disturbance, 0 where no goal asks for it."""
     given = requirement.w_intensity
-    if given is None or not any(goal.spread for goal in goals):
+    if given is None or not any(goal.stochastic for goal in goals):
         return np.zeros(plant.n_disturbances)
     return np.full(plant.n_disturbances, checks.bound("w_intensity", given, plant.n_disturbances))

@@ -24,7 +24,7 @@ class PlanRobustness(TableRecord, PlainRecord):
         The samples of the period.
     late : (N,) array
         So late each may be, alone, with every tolerance kept: proven for this delay; for the multiples of `step` below
-        it no motion was found that breaks one before that sample or in the gap after it.
+        it no trajectory was found that breaks one before that sample or in the gap after it.
     step : (N,) array
         Distance of the delays that were judged.
     late_ratio : (N,) array
@@ -32,8 +32,8 @@ class PlanRobustness(TableRecord, PlainRecord):
     lost : int
         So many samples in a row may be lost, whichever they are, with every tolerance kept; proven.
     lost_ratio : (N,) array
-        Accuracy over tolerance if this sample is lost: up to 1 such a bound, above 1 attained by a motion on the grid,
-        or, where none was found that breaks a tolerance, a bound.
+        Accuracy over tolerance if this sample is lost: up to 1 such a bound, above 1 attained by a trajectory on the
+        grid, or, where none was found that breaks a tolerance, a bound.
     """
 
     time_unit: str

@@ -57,11 +57,11 @@ class PlanSearch:
         self.problem, self.oracle = problem, oracle
         self.progress = progress or PlanProgress(None, problem, oracle.work)
         self.free = problem.is_free
-        self.cover = CoveringRows(problem, fixed=self.free)
+        self.covering = CoveringRows(problem, fixed=self.free)
         self.pool = HiddenTrajectories(problem.steps, [problem.ends(g) for g in range(len(problem.goals))])
         self.found = PlanSearchState()
-        self.spread = all(goal.spread for goal in problem.goals)
-        self.held: list[tuple[Mask, float]] = []
+        self.stochastic = all(goal.stochastic for goal in problem.goals)
+        self.incumbents: list[tuple[Mask, float]] = []
         """Every choice that was the best so far, and what it was judged to be: none is forgotten."""
         self.counted = True
         """Whether choices are sought by their number of samples alone, until that was given up."""
@@ -69,13 +69,13 @@ class PlanSearch:
         self.starts: list[Mask] = []
         """Choices that are judged before any other."""
         self.undetected_at: list[Mask] = []
-        """Where a choice must measure once at least, or it hides a motion that never decays."""
+        """Where a choice must measure once at least, or it hides a trajectory that never decays."""
 
     @property
     def late(self) -> bool:
         """Whether the work is spent; where something is held, its share of it."""
         work = self.oracle.work
-        return work.over or (bool(self.held) and work.spent > self.share * work.seconds)
+        return work.over or (bool(self.incumbents) and work.spent > self.share * work.seconds)
 
     def add(self, trajectories: list[HiddenTrajectory], level: float) -> None:
         """Keep trajectories that reach a level."""
@@ -89,7 +89,7 @@ class PlanSearch:
         for g, goal in enumerate(self.problem.goals):
             if goal.at == "after each sample":
                 continue
-            if not goal.spread:
+            if not goal.stochastic:
                 for end in self._typical_ends(g):
                     self.add_weakly_observable(g, end, level, nothing)
         self.sharpen(level)
@@ -99,30 +99,30 @@ class PlanSearch:
 
         Among choices below a cost, which leave larger gaps.
         """
-        spread = [g for g, goal in enumerate(self.problem.goals) if goal.spread]
+        stochastic = [g for g, goal in enumerate(self.problem.goals) if goal.stochastic]
         z = np.where(self.problem.allowed, 1.0 / max(1, int(self.problem.allowed.sum())), 0.0)
         keys, least = list(self.found.keys), 0.0
-        for _ in range(TANGENTS if spread else 0):
-            found = [self.oracle.tangent(z, g) for g in spread]
+        for _ in range(TANGENTS if stochastic else 0):
+            found = [self.oracle.tangent(z, g) for g in stochastic]
             fresh = [t for t in found if t is not None and weighed(t, np.array(np.sum(t.peaks * t.touches))) > level]
             if not fresh or self.late:
                 return
             self.add(fresh, level)
-            keys, x = separated(self.cover, self.pool, level, keys, self.oracle.work, below)
-            cost = float(self.cover.cost @ x)
+            keys, x = separated(self.covering, self.pool, level, keys, self.oracle.work, below)
+            cost = float(self.covering.cost @ x)
             if cost <= least * (1 + FLAT):
                 return
             least = cost
-            z = self.cover.measured(x)
+            z = self.covering.measured(x)
 
     def find(self, x: Array, level: float) -> None:
         """Hidden trajectories at a level against a point of the program, or tangents at fractions of measurements."""
         if self.late:
             return
         if float(np.minimum(x, 1 - x).max(initial=0.0)) <= WHOLE:
-            chosen = self.cover.choice(x)
+            chosen = self.covering.choice(x)
             if (undetected := self.oracle.hidden(chosen)) is not None:
-                self.see(undetected, level)
+                self.require_detection(undetected, level)
                 return
             trajectories = [
                 trajectory for trajectory in self.oracle.judge(chosen, above=level)[1] if trajectory.reach > level
@@ -131,14 +131,14 @@ class PlanSearch:
             if trajectories and self.oracle.few:
                 self._add_less_observable(max(trajectories, key=lambda a: a.reach), level, chosen)
             return
-        z = self.cover.measured(x)
-        found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.spread]
+        z = self.covering.measured(x)
+        found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.stochastic]
         self.add([t for t in found if t is not None], level)
 
-    def see(self, undetected: UndetectedModes, level: float) -> None:
-        """Ask for a measurement that shows what never decays, by a motion that reaches a level if there is one."""
+    def require_detection(self, undetected: UndetectedModes, level: float) -> None:
+        """Ask for a measurement that shows what never decays, by a trajectory that reaches a level if there is one."""
         self.undetected_at.append(undetected.where)
-        trajectory = self.oracle.drifting(undetected, level) if self.oracle.few else None
+        trajectory = self.oracle.drifting_trajectory(undetected, level) if self.oracle.few else None
         if trajectory is not None:
             self.add([trajectory], level)
 
@@ -153,7 +153,7 @@ class PlanSearch:
 
     def add_weakly_observable(self, g: int, end: int, level: float, known: Mask) -> HiddenTrajectory | None:
         """Find and keep one, hidden from `known`; none against a standard deviation, or a level of 0."""
-        if self.problem.goals[g].spread or level <= 0:
+        if self.problem.goals[g].stochastic or level <= 0:
             return None
         back = self.oracle.back
         weights = np.where(self.problem.allowed, 1.0, 0.05 if self.free else 0.0)
@@ -188,28 +188,28 @@ class PlanSearch:
         """A choice within the limits that sees every trajectory of the pool, or that none does; None if given up."""
         while self.counted:
             found = smallest_hitting_set(
-                self.cover, self.pool, level, self.cover.dearest, self.oracle.work, self.undetected_at
+                self.covering, self.pool, level, self.covering.dearest, self.oracle.work, self.undetected_at
             )
             self.counted = found is not None and (found.chosen is not None or found.none)
             if found is None or found.chosen is None or (undetected := self.oracle.hidden(found.chosen)) is None:
                 return found if self.counted else None
-            self.see(undetected, level)
+            self.require_detection(undetected, level)
         return None
 
     def _candidate(self, keys: list[Key], level: float, below: float = np.inf) -> tuple[Mask | None, bool]:
         """The cheapest choice that sees every trajectory of the pool; only those below a cost are of use."""
         while True:
-            model = self.cover.model(self.pool.trajectories, keys, level, self.undetected_at)
-            more = np.asarray(model.A[self.cover.frame[0].shape[0] :].sum(axis=0)).ravel()
-            least = self.cover.grain or float(np.max(model.c, initial=1.0))
+            model = self.covering.model(self.pool.trajectories, keys, level, self.undetected_at)
+            more = np.asarray(model.A[self.covering.frame[0].shape[0] :].sum(axis=0)).ravel()
+            least = self.covering.grain or float(np.max(model.c, initial=1.0))
             tie = -TIE * least * more / max(1.0, float(more.max(initial=0.0)))
             chosen, none = cheapest(
-                self.cover, model, tie, self.oracle.work, below, FEW_NODES if self.spread else NODES
+                self.covering, model, tie, self.oracle.work, below, FEW_NODES if self.stochastic else NODES
             )
             if chosen is None:
                 return None, none
             if (undetected := self.oracle.hidden(chosen)) is not None:
-                self.see(undetected, level)
+                self.require_detection(undetected, level)
                 continue
             fresh = self._undetected_ends(chosen, level, keys)
             if not fresh or self.late:
@@ -225,7 +225,7 @@ class PlanSearch:
                 continue
             ends = np.flatnonzero(self.pool.proven(trajectory, at, sensor) >= level)
             if self.oracle.few:
-                size = self.cover.sizes(trajectory, ends, level)
+                size = self.covering.sizes(trajectory, ends, level)
                 ends = ends[size == size.min(initial=self.problem.allowed.size)]
             ends = ends[_evenly(ends.size, SPREAD_ENDS)]
             fresh += [(a, int(e)) for e in ends if (a, int(e)) not in known]
@@ -249,10 +249,10 @@ class PlanSearch:
 
     def _add_less_observable(self, trajectory: HiddenTrajectory, level: float, known: Mask) -> None:
         """Keep a trajectory like one that `known` does not see, which less of what may be measured sees."""
-        if trajectory.flight is None or not self.oracle.few:
+        if trajectory.response is None or not self.oracle.few:
             self.add_weakly_observable(trajectory.goal, trajectory.end + self.problem.steps, level, known)
         else:
-            for each in (trajectory, *self.oracle.elsewhere(known, trajectory, level)):
+            for each in (trajectory, *self.oracle.in_other_gaps(known, trajectory, level)):
                 self.pool.add(narrowed(self.oracle, each, level))
 
     def deepened(self, chosen: Mask, worst: float, enough: float, patience: int = 1) -> float:
@@ -261,7 +261,7 @@ class PlanSearch:
         The past is doubled until that adds nothing, so many times in a row, or the choice is as bad as `enough`.
         """
         idle, kept = 0, self.oracle.back
-        while idle < patience and worst < enough and not self.late and self.oracle.farther(chosen):
+        while idle < patience and worst < enough and not self.late and self.oracle.lengthen_past(chosen):
             now, trajectories = self.oracle.judge(chosen)
             idle, kept = (idle + 1, kept) if now <= worst * (1 + SETTLED) else (0, self.oracle.back)
             worst = max(now, worst)
@@ -272,14 +272,14 @@ class PlanSearch:
     def keep(self, chosen: Mask, worst: float) -> None:
         """Remember the best choice."""
         self.found.chosen, self.found.worst = chosen, worst
-        self.held.append((chosen, worst))
+        self.incumbents.append((chosen, worst))
         self.progress.found(chosen, worst)
 
     def polished(self, chosen: Mask) -> Mask:
         """Move one measurement at a time to where the trajectories so far prove least, while that gains."""
         at, sensor = np.nonzero(self.problem.allowed)
         options = list(zip(at.tolist(), sensor.tolist(), strict=True))
-        if self.spread:
+        if self.stochastic:
             return self._exchanged(chosen, options)
         best = self.pool.against(chosen)[0]
         if not options or not self.pool.trajectories:
@@ -304,19 +304,19 @@ class PlanSearch:
 
     def _thinned(self, chosen: Mask, worst: float, level: float) -> tuple[Mask, float]:
         """A choice that keeps standard deviations, without what it can do without once the others are moved."""
-        if not self.spread:
+        if not self.stochastic:
             return chosen, worst
-        assert self.oracle.spread is not None
+        assert self.oracle.grid_filter is not None
         options = [(int(i), int(j)) for i, j in zip(*np.nonzero(self.problem.allowed), strict=True)]
         while chosen.any(axis=1).sum() > 1 and not self.late:
             fewer = np.repeat(chosen[None], int(chosen.sum()), axis=0)
             fewer[np.arange(len(fewer)), *np.nonzero(chosen)] = False
-            left = self.oracle.spread.worst(fewer).max(axis=1)
+            left = self.oracle.grid_filter.worst(fewer).max(axis=1)
             even = self._even(int(chosen.any(axis=1).sum()) - 1)
             tries = [fewer[k] for k in np.argsort(left, kind="stable")[:THINNED].tolist()] + even
             for trial in tries:
                 trial = self._exchanged(trial, options)
-                value = float(self.oracle.spread.worst(trial[None]).max())
+                value = float(self.oracle.grid_filter.worst(trial[None]).max())
                 if value <= level and self.oracle.hidden(trial) is None and self.problem.is_admissible(trial):
                     chosen, worst = trial, value
                     break
@@ -341,8 +341,8 @@ class PlanSearch:
 
     def _exchanged(self, chosen: Mask, options: list[tuple[int, int]]) -> Mask:
         """Move one measurement at a time to where the standard deviations are least, while that gains."""
-        assert self.oracle.spread is not None
-        best = float(self.oracle.spread.worst(chosen[None]).max())
+        assert self.oracle.grid_filter is not None
+        best = float(self.oracle.grid_filter.worst(chosen[None]).max())
         for _ in range(2):
             before = best
             for i, j in zip(*np.nonzero(chosen), strict=True):
@@ -357,7 +357,7 @@ class PlanSearch:
                 few = trials[:: max(1, -(-len(trials) // MOST_SWAPS))]
                 if not few or self.late:
                     break
-                values = self.oracle.spread.worst(np.array(few)).max(axis=1)
+                values = self.oracle.grid_filter.worst(np.array(few)).max(axis=1)
                 if values.min() < best * (1 - 1e-6):
                     chosen, best = few[int(np.argmin(values))], float(values.min())
             if best >= before * (1 - 1e-3):
@@ -387,7 +387,7 @@ class PlanSearch:
                     continue
                 worst, trajectories = self._judged(trial, level)
                 if worst <= level:
-                    self.held.append((trial, worst))
+                    self.incumbents.append((trial, worst))
                     trial, worst = self._thinned(trial, worst, level)
                     best = self.problem.cost(trial)
                     self.keep(trial, worst)
@@ -434,7 +434,7 @@ class PlanSearch:
                 return None
             if self.problem.cost(more) >= dearest:
                 return None
-            trial = self._exchanged(more, options) if self.spread else more
+            trial = self._exchanged(more, options) if self.stochastic else more
         return None
 
     def improve(self, rounds: int) -> None:

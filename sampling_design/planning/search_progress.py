@@ -21,7 +21,7 @@ HALF = 30.0  # seconds of work after which a search without an end counts as hal
 class PlanProgress:
     """The figures so far of one call, its coarser grids included."""
 
-    tell: Progress | None
+    report: Progress | None
     problem: PlanProblem
     work: Budget  # that of the whole search
     best: str = ""
@@ -59,7 +59,7 @@ class PlanProgress:
 
     def say(self, message: str, fraction: float = 0.0) -> None:
         """Tell what is known, and what is done; by default as far on as the search's work."""
-        if self.tell is None:
+        if self.report is None:
             return
         spent, whole = self.work.spent, self.work.seconds
         searched = SEARCHED * (min(1.0, spent / whole) if np.isfinite(whole) else spent / (spent + HALF))
@@ -68,4 +68,4 @@ class PlanProgress:
         if self.bound > 0:
             least = f"{self.bound:g}" if self._cheapest else f"{100 * self.bound:.1f} %"
             known += [f"none below {least}", f"gap {100 * max(1 - self.bound / self.reached, 0.0):.1f} %"]
-        self.tell(self.done, ", ".join([*known, message]))
+        self.report(self.done, ", ".join([*known, message]))

@@ -14,24 +14,24 @@ import numpy as np
 
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.results_out import results_in
-from sampling_design.accuracy.sample_chain import KnownSpan, SampleChain
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.sampled_system import KnownSpan, SampledSystem
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
-from sampling_design.planning.sequence_chain import plan_chain, sequence_chain
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
     SampleSequence,
     asked,
     departs_and_returns,
     phase_of,
-    spread_of,
+    sequence_filter,
 )
+from sampling_design.planning.sequence_system import plan_system, sequence_system
 from sampling_design.planning.transient_bound import cut_gains, nodes_out, out_at, settled_factors, wider_by
-from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
+from sampling_design.planning.work_prices import BETWEEN, GAINS, STARTED, SYSTEM
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.jitter import ON_TIME
 
@@ -43,7 +43,7 @@ FADED = 0.01
 """What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""
 
 
-class JudgedSpan(NamedTuple):
+class SequenceSpan(NamedTuple):
     """A stretch of a sequence on the grid in which no result comes in: a gap, where all come at once."""
 
     k: int  # the latest sample of which something is in
@@ -63,13 +63,13 @@ def looks_back(plan: PlanFigures) -> int:
     if plan.accuracy is not None:
         parts += [len(given) for part in plan.accuracy.proof for given in part.gains]
     if plan.deviation is not None:
-        parts.append(spread_of(plan).back)
+        parts.append(sequence_filter(plan).back)
     return max(parts)
 
 
 def forgets(plan: PlanFigures) -> int:
     """Samples over which the plan's filter must be followed until nothing of what was before them counts."""
-    own = 0 if plan.accuracy is None else int(plan_chain(plan).forgetting.max(initial=0))
+    own = 0 if plan.accuracy is None else int(plan_system(plan).forgetting.max(initial=0))
     return max(own, len(plan.schedule))
 
 
@@ -107,10 +107,10 @@ def worst_ratio(
     Stops once a gap is worse than `above`, or begins at or after `until`. Unless `closely`, a gap is looked at where it
     ends, and only the worst of them elsewhere: attained all the same.
     """
-    spread = spread_of(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
-    if spread > above or plan.accuracy is None:
-        return spread
-    return max(spread, _bounded_worst(plan, sequence, above, until, closely=closely))
+    deviation = sequence_filter(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
+    if deviation > above or plan.accuracy is None:
+        return deviation
+    return max(deviation, _bounded_worst(plan, sequence, above, until, closely=closely))
 
 
 def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, until: float, *, closely: bool) -> float:
@@ -125,8 +125,8 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
         window, last = window_after(oracle, sequence, span)
         for g in goals:
             far = min(above, max(worst, 1.0))  # what is far below neither breaks anything nor is the worst
-            looks = oracle.looked(window, g, last, span.length, far, begin=span.begin, closely=closely, known=here)
-            found = max(looks.values(), default=0.0)
+            ratios = oracle.ratios_at(window, g, last, span.length, far, begin=span.begin, closely=closely, known=here)
+            found = max(ratios.values(), default=0.0)
             where = (window, g, last, span.length, span.begin) if found > max(worst, here) else where
             here = max(here, found)
             if here > above:
@@ -137,7 +137,7 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
                 break
             before, here = here, 0.0
     if where is not None and not closely:
-        worst = max(worst, *oracle.looked(*where[:4], begin=where[4]).values())
+        worst = max(worst, *oracle.ratios_at(*where[:4], begin=where[4]).values())
     return worst
 
 
@@ -152,25 +152,25 @@ def judged_at_once(plan: PlanFigures) -> int:
     return plan.samples if plan.problem.result_delay is None else int(plan.chosen.sum())
 
 
-def is_past(plan: PlanFigures, sequence: SampleSequence, span: JudgedSpan, back: int) -> bool:
+def is_past(plan: PlanFigures, sequence: SampleSequence, span: SequenceSpan, back: int) -> bool:
     """Whether a stretch comes after some sample, and after what was out then."""
     if sequence.result_delay is None:
         return span.k >= back
     return back < len(sequence.times) and bool(sequence.times[span.k] >= sequence.times[back] + longest_out(plan))
 
 
-def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[JudgedSpan]:
+def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[SequenceSpan]:
     """The stretches of a sequence that are judged, on the grid."""
     step, times = plan.problem.step, sequence.times
     if sequence.result_delay is None:
         knots = _knots(plan.oracle, sequence)
         return [
-            JudgedSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), int(knots[k + 1] - knots[k]), times[k + 1])
+            SequenceSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), int(knots[k + 1] - knots[k]), times[k + 1])
             for k, skipped in enumerate(sequence.since - times[:-1])
             if k >= sequence.start
         ]
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=False)
-    first, found, tiny = float(times[0]), list[JudgedSpan](), WHOLE * step
+    first, found, tiny = float(times[0]), list[SequenceSpan](), WHOLE * step
     for each in results_in(times - first, comes, end=float(times[-1]) - first):
         if each.end + first <= sequence.judged_since + tiny:
             continue
@@ -179,7 +179,7 @@ def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[JudgedSpan]:
         begin = int(np.floor((since - at) / step + WHOLE)) + (since > tiny)  # what comes in at a step is in after it
         length = int(np.floor((each.end - at) / step + WHOLE))
         if begin <= length:
-            found.append(JudgedSpan(k, begin, length, each.end + first, each.arrived))
+            found.append(SequenceSpan(k, begin, length, each.end + first, each.arrived))
     return found
 
 
@@ -188,19 +188,19 @@ def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Index:
     return np.floor(sequence.times / oracle.problem.step + 0.5).astype(np.intp)  # halves never meet
 
 
-def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[GridWindow, int]:
+def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: SequenceSpan) -> tuple[GridWindow, int]:
     """The window of what is in during a stretch, and the step of its last sample."""
-    knots, seen, begins = _read_by(oracle, sequence, span)
+    knots, measured, begins = _read_by(oracle, sequence, span)
     start, last = oracle.initial_set if begins else None, int(knots[-1])
-    key = (knots - last).tobytes(), seen.tobytes(), begins
+    key = (knots - last).tobytes(), measured.tobytes(), begins
     if key not in oracle.windows:
         while len(oracle.windows) >= WINDOWS:
             del oracle.windows[next(iter(oracle.windows))]
-        oracle.windows[key] = GridWindow(oracle.motion, knots, seen, start=start)
+        oracle.windows[key] = GridWindow(oracle.discrete, knots, measured, start=start)
     return oracle.windows[key], last
 
 
-def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[Index, Mask, bool]:
+def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: SequenceSpan) -> tuple[Index, Mask, bool]:
     """Steps of the samples before a stretch, what is in of them, and whether all begins with the first of them.
 
     They reach as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
@@ -208,11 +208,11 @@ def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan)
     k, first, knots = span.k, min(max(sequence.first - 1, 0), span.k), _knots(oracle, sequence)[: span.k + 1]
     planned = int(np.searchsorted(knots, knots[first] - oracle.back))
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - (first - planned), 0))
-    seen = sequence.seen[low : k + 1]
+    measured = sequence.measured[low : k + 1]
     if span.out is not None:
-        count = min(len(span.out), len(seen))
-        seen = np.concatenate([seen[: len(seen) - count], span.out[len(span.out) - count :]])
-    return knots[low:], seen, bool(sequence.begins) and low == 0
+        count = min(len(span.out), len(measured))
+        measured = np.concatenate([measured[: len(measured) - count], span.out[len(span.out) - count :]])
+    return knots[low:], measured, bool(sequence.begins) and low == 0
 
 
 def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until: float) -> dict[int, float]:
@@ -220,7 +220,7 @@ def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until:
     oracle, times = plan.oracle, sequence.times
     found: dict[int, float] = {}
     if plan.deviation is not None:
-        for k, _, _, ratios in spread_of(plan).gaps(sequence, until):
+        for k, _, _, ratios in sequence_filter(plan).gaps(sequence, until):
             if times[k + 1] > since:
                 found[k] = max(found.get(k, 0.0), float(ratios.max()))
     goals = oracle.problem.guaranteed
@@ -233,16 +233,16 @@ def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until:
     return found
 
 
-def _ratio_in(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> float:
+def _ratio_in(oracle: AccuracyOracle, sequence: SampleSequence, span: SequenceSpan) -> float:
     """The ratio in a stretch: most of a sequence are those of another, by whole periods later, and solved once."""
-    knots, seen, begins = _read_by(oracle, sequence, span)
+    knots, measured, begins = _read_by(oracle, sequence, span)
     phase = int(knots[-1]) % oracle.problem.steps
-    key = (oracle.back, (knots - knots[-1]).tobytes(), seen.tobytes(), begins, span.begin, span.length, phase)
-    if key not in oracle.looks:
+    key = (oracle.back, (knots - knots[-1]).tobytes(), measured.tobytes(), begins, span.begin, span.length, phase)
+    if key not in oracle.ratios:
         window, last = window_after(oracle, sequence, span)
-        found = [oracle.looked(window, g, last, span.length, begin=span.begin) for g in oracle.problem.guaranteed]
-        oracle.looks[key] = max((value for each in found for value in each.values()), default=0.0)
-    return oracle.looks[key]
+        found = [oracle.ratios_at(window, g, last, span.length, begin=span.begin) for g in oracle.problem.guaranteed]
+        oracle.ratios[key] = max((value for each in found for value in each.values()), default=0.0)
+    return oracle.ratios[key]
 
 
 def gaps_of(sequence: SampleSequence, k: int, begin: float, end: float) -> range:
@@ -260,17 +260,17 @@ def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, fl
     Of standard deviations, by the filter run through the sequence, by as much more as it ends with. `gaps` is told the
     ratio in each gap, and of all that follows the sequence as that of its last sample; then nothing stops it.
     """
-    spread = 0.0
+    deviation = 0.0
     if plan.deviation is not None:
-        spread, wider = spread_of(plan).worst(sequence)
-        spread = max(spread, wider * spread_of(plan).usual)
+        deviation, wider = sequence_filter(plan).worst(sequence)
+        deviation = max(deviation, wider * sequence_filter(plan).usual)
         if gaps is not None:
-            for k, _, _, ratios in spread_of(plan).gaps(sequence):
+            for k, _, _, ratios in sequence_filter(plan).gaps(sequence):
                 gaps[k] = max(gaps.get(k, 0.0), float(ratios.max()))
-            gaps[len(sequence.times) - 1] = wider * spread_of(plan).usual
-    if plan.accuracy is None or (spread > 1 and gaps is None):
-        return spread
-    return max(spread, _proven_bounds(plan, sequence, gaps))
+            gaps[len(sequence.times) - 1] = wider * sequence_filter(plan).usual
+    if plan.accuracy is None or (deviation > 1 and gaps is None):
+        return deviation
+    return max(deviation, _proven_bounds(plan, sequence, gaps))
 
 
 def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None) -> float:
@@ -284,30 +284,30 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     grows at most as their rest does.
     """
     problem, schedule, times = plan.problem, plan.schedule, sequence.centres
-    filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
+    filtered, back, count = plan_system(plan), looks_back(plan), len(schedule)
     work, n = plan.oracle.work, plan.plant.n_states
-    work.add(CHAIN, len(times) * n**2)
+    work.add(SYSTEM, len(times) * n**2)
     memory = forgets(plan)
     out = longest_out(plan)
     complete = int(np.sum(sequence.taken_by + out <= times[-1])) if out else len(times)
     worst, settled = 0.0, complete - 1 - max(back, memory) - count
     work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
     try:
-        chain = sequence_chain(plan, filtered, sequence, len(times) - max(settled, 0))
+        system = sequence_system(plan, filtered, sequence, len(times) - max(settled, 0))
     except UndecidedError:  # nothing bounds what early and late samples do
-        chain = None
-    search = None if chain is None else ChainSearch(*chain, lambda: work.add(GAINS, back * n))
+        system = None
+    search = None if system is None else GainSearch(*system, lambda: work.add(GAINS, back * n))
     if search is None or settled < sequence.first or not _is_the_plan(search, filtered, settled):
         if gaps is not None:
             gaps.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
         return np.inf
     search.back = back
-    goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
-    usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
+    goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.stochastic]
+    usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.stochastic)
     factors = _transient_factors(plan, sequence, search, filtered, settled + back)
     faded = usual * (1 + FADED) if usual > 1 else min(usual * (1 + FADED), 1.0)
-    for span in search.chain.spans:
-        k = search.chain.sample_of(span.node)
+    for span in search.system.spans:
+        k = search.system.sample_of(span.node)
         begin, end = (float(times[k]) + offset for offset in (span.begin, span.end))
         if end <= sequence.judged_since if sequence.in_parts else k < sequence.start:
             continue
@@ -318,7 +318,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
             here, skipped = 0.0, sequence.skipped(k)
             for goal, known in goals:
                 work.spend(BETWEEN)
-                opened = open_row(search.chain, span.node, goal.row, known=known).since(skipped)
+                opened = open_row(search.system, span.node, goal.row, known=known).since(skipped)
                 at = [d for d in asked(plan, sequence, k, goal, (span.begin, span.end)) if d >= skipped]
                 here = max(here, _gap_bound(search, opened, span.node, goal, at) / goal.tolerance)
         worst = max(worst, here)
@@ -334,15 +334,15 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
 
 
 def _wider(
-    search: ChainSearch, plan: PlanFigures, sequence: SampleSequence, samples: range, room: float = np.inf
+    search: GainSearch, plan: PlanFigures, sequence: SampleSequence, samples: range, room: float = np.inf
 ) -> float:
     """How many times as large as the plan's filter bounds it the error is at most at samples of a sequence, at least 1.
 
     So it is after all that follow, if those are the plan's and they are as many as its filter looks back.
     """
-    filtered, wider = plan_chain(plan), 1.0
+    filtered, wider = plan_system(plan), 1.0
     for k in samples:
-        phase = phase_of(plan.schedule, float(sequence.shown[k]))
+        phase = phase_of(plan.schedule, float(sequence.clock_times[k]))
         wider = max(wider, _beyond(search, k, filtered.reach[phase], room))
     return wider
 
@@ -354,32 +354,32 @@ def settled_since(plan: PlanFigures, sequence: SampleSequence) -> tuple[float, f
     """
     times, memory, since, wider = sequence.centres, forgets(plan), -np.inf, 1.0
     if plan.deviation is not None:
-        wider, since = spread_of(plan).worst(sequence)[1], float(times[-1])
+        wider, since = sequence_filter(plan).worst(sequence)[1], float(times[-1])
     if plan.accuracy is not None:
         settled = len(times) - 1 - memory
-        chain = sequence_chain(plan, plan_chain(plan), sequence, len(times) - max(settled, 0))
-        search = ChainSearch(*chain)
+        system = sequence_system(plan, plan_system(plan), sequence, len(times) - max(settled, 0))
+        search = GainSearch(*system)
         search.back = looks_back(plan)
-        if settled < sequence.first or not _is_the_plan(search, plan_chain(plan), settled):
+        if settled < sequence.first or not _is_the_plan(search, plan_system(plan), settled):
             return np.inf, np.inf
         since = max(since, float(times[settled]))
         wider = max(wider, _wider(search, plan, sequence, range(settled, settled + memory)))
     return (since, wider) if np.isfinite(wider) else (np.inf, np.inf)
 
 
-def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: RowGoal, asked: list[float]) -> float:
+def _gap_bound(search: GainSearch, opened: RowBetweenSamples, k: int, goal: RowGoal, asked: list[float]) -> float:
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
     enough = goal.tolerance
     if goal.at == "after each sample":
-        at = search.chain.judged[k].begin
-        if search.chain.sample_of(k) != k:  # some of its outputs are not read yet
+        at = search.system.judged[k].begin
+        if search.system.sample_of(k) != k:  # some of its outputs are not read yet
             return 0.0
         return at_offset(search, goal.row, k, at) if opened.d[0] <= at * (1 + ROUNDED) else 0.0
     if goal.at == "given times":
         return max((at_offset(search, goal.row, k, d) for d in asked), default=0.0)
     solved: set[int] = set()
     for _ in range(SHARPER):
-        nodes, panels = opened.bound(search.atoms[k])
+        nodes, panels = opened.bound(search.directions[k])
         panel = int(np.argmax(panels))
         top = float(panels[panel])
         if top <= enough or (top > HOPELESS * enough and len(solved) >= FEW):
@@ -397,10 +397,10 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
 
     Infinite where an error of any size at the plan's start would not have shown.
     """
-    found = {} if plan.deviation is None else spread_of(plan).at(history, t)
+    found = {} if plan.deviation is None else sequence_filter(plan).at(history, t)
     if plan.accuracy is not None:
-        sure = history if not history.begins else replace(history, late=ON_TIME, sure=np.zeros((0, 2, 1)))
-        bounds = _bounds_at(plan, sure, t, limited=False)
+        exact = history if not history.begins else replace(history, late=ON_TIME, known_sides=np.zeros((0, 2, 1)))
+        bounds = _bounds_at(plan, exact, t, limited=False)
         if history.begins and history.late:  # a start of any size is not followed through samples that may be late
             known = _bounds_at(plan, history, t, limited=True)
             bounds = {name: value if np.isinf(value) else known[name] for name, value in bounds.items()}
@@ -410,51 +410,51 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
 
 def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited: bool) -> dict[str, float]:
     """The same of the goals that are guaranteed."""
-    search = ChainSearch(*sequence_chain(plan, plan_chain(plan), history, limited=limited, until=t))
+    search = GainSearch(*sequence_system(plan, plan_system(plan), history, limited=limited, until=t))
     search.back = looks_back(plan)
     last = max(0, history.taken(t))
     if history.in_parts:
-        begins = np.array([float(history.centres[0]) + span.time + span.begin for span in search.chain.spans])
+        begins = np.array([float(history.centres[0]) + span.time + span.begin for span in search.system.spans])
         tiny = GRAIN * plan.schedule.period
-        last = search.chain.spans[max(0, int(np.searchsorted(begins, t + tiny, side="right")) - 1)].node
-    since = t - float(history.centres[search.chain.sample_of(last)])
-    return {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}
+        last = search.system.spans[max(0, int(np.searchsorted(begins, t + tiny, side="right")) - 1)].node
+    since = t - float(history.centres[search.system.sample_of(last)])
+    return {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.stochastic}
 
 
-def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
+def at_offset(search: GainSearch, row: Array, k: int, d: float) -> float:
     """A bound on one row (n,) so long after a sample, by gains."""
     if d <= 0:
-        return search.gains(k, search.chain.mu(k, row[None])[:, 0]).value
-    opened = open_row(search.chain, k, row, d)
+        return search.gains(k, search.system.mu(k, row[None])[:, 0]).value
+    opened = open_row(search.system, k, row, d)
     return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
 
 
 def _transient_factors(
-    plan: PlanFigures, sequence: SampleSequence, search: ChainSearch, own: SampleChain, stop: int
+    plan: PlanFigures, sequence: SampleSequence, search: GainSearch, own: SampledSystem, stop: int
 ) -> dict[int, float]:
     """How much more than the plan's stretches those of a sequence are at most, by node; none where they are not its."""
-    chain, found = search.chain, dict[int, float]()
+    system, found = search.system, dict[int, float]()
     if any(goal.at == "given times" for goal in plan.goals):  # which offsets those are differs from gap to gap
         return found
     gaps, samples = ({id(part) for part in parts} for parts in (own.gaps, own.samples))
-    both = zip(chain.gaps[:stop], chain.samples[:stop], strict=False)
+    both = zip(system.gaps[:stop], system.samples[:stop], strict=False)
     usual = np.array([id(gap) in gaps and id(sample) in samples for gap, sample in both])  # no noisier than the plan's
     spans: dict[int, list[KnownSpan]] = {}
-    for span in chain.spans:
-        spans.setdefault(chain.sample_of(span.node), []).append(span)
+    for span in system.spans:
+        spans.setdefault(system.sample_of(span.node), []).append(span)
     for k in np.flatnonzero(usual & ~np.append(False, usual[:-1])).tolist():
         end = k + int(np.argmin(np.append(usual[k:], False)))
-        phases = [phase_of(plan.schedule, float(t)) for t in sequence.shown[k:end]]
-        reach = [search.atoms[i].reach for i in range(k, end)]
+        phases = [phase_of(plan.schedule, float(t)) for t in sequence.clock_times[k:end]]
+        reach = [search.directions[i].reach for i in range(k, end)]
         wider, factors = wider_by(plan, phases, reach), settled_factors(plan, phases, reach)
         for i, phase in enumerate(phases):
             for span in spans.get(k + i, ()):
-                node = phase if span.node < len(chain) else nodes_out(plan).get(out_at(chain, span.node, phase))
+                node = phase if span.node < len(system) else nodes_out(plan).get(out_at(system, span.node, phase))
                 if node is None or not _within(span, own.judged.get(node)):
                     continue
                 factor = float(factors[i])
-                if span.node >= len(chain):
-                    now = search.atoms[span.node].bound(np.eye(own.D.size))
+                if span.node >= len(system):
+                    now = search.directions[span.node].bound(np.eye(own.D.size))
                     factor = max(*wider_by(plan, [node], [now]), cut_gains(plan)[node].factor(wider[i::-1]))
                 found[span.node] = factor
     return found
@@ -468,19 +468,19 @@ def _within(span: KnownSpan, own: KnownSpan | None) -> bool:
     return span.begin >= own.begin - tiny and span.end <= own.end + tiny
 
 
-def _is_the_plan(search: ChainSearch, own: SampleChain, settled: int) -> bool:
-    """Whether the samples and gaps of a chain are those of the plan's own from one of them on."""
-    chain = search.chain
+def _is_the_plan(search: GainSearch, own: SampledSystem, settled: int) -> bool:
+    """Whether the samples and gaps of a system are those of the plan's own from one of them on."""
+    system = search.system
     samples, gaps = ({id(part) for part in parts} for parts in (own.samples, own.gaps))
-    return {id(part) for part in chain.samples[settled : len(chain)]} <= samples and {
-        id(g) for g in chain.gaps[settled:]
+    return {id(part) for part in system.samples[settled : len(system)]} <= samples and {
+        id(g) for g in system.gaps[settled:]
     } <= gaps
 
 
-def _beyond(search: ChainSearch, k: int, reach: Array, room: float) -> float:
+def _beyond(search: GainSearch, k: int, reach: Array, room: float) -> float:
     """How many times as large the error z at a sample may be as what bounds the plan's; solved where above `room`."""
     entries = np.eye(reach.size)
-    known = search.atoms[k].bound(entries) / reach
+    known = search.directions[k].bound(entries) / reach
     for i in np.flatnonzero(known > room):
         known[i] = min(known[i], search.gains(k, entries[i]).value / reach[i])
     return float(known.max(initial=0.0))

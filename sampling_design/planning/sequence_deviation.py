@@ -25,7 +25,7 @@ from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 DAY = 1440.0  # minutes by which clocks are never put forward or back
-LOOKS = 24  # offsets of a gap at which a standard deviation is worked out, its end among them
+OFFSETS = 24  # offsets of a gap at which a standard deviation is worked out, its end among them
 BETWEEN = 1 + 1e-4  # share by which it may be larger between them
 GRAIN = 1e-9  # lengths are the same if they differ by less than this share of a step of the grid
 FORGOTTEN = 1e-4  # a filter has forgotten what it was started with where that changes it by no more than this share
@@ -37,7 +37,7 @@ class SampleSequence:
     """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan."""
 
     times: Array  # (K,): real times: what lies between two of them has passed, whatever the clocks showed
-    seen: Mask  # (K, p)
+    measured: Mask  # (K, p)
     first: int  # index of the first sample that the plan does not have, or has otherwise, or after another gap
     clock: PlanClock = ORDINARY  # what the plan's clocks show at these times
     begins: bool = False
@@ -49,25 +49,25 @@ class SampleSequence:
     """Nothing is judged before this time, though all that was measured then counts."""
     late: TimingTolerance = ON_TIME
     """How early or late a reading of each output may be."""
-    sure: Array = field(default_factory=lambda: np.zeros((0, 2, 1)))
+    known_sides: Array = field(default_factory=lambda: np.zeros((0, 2, 1)))
     """How early and how late (k, 2, p) those of the first samples may be, if otherwise: 0 where the time is known."""
     result_delay: Array | None = None
     """How long after its sample a result of each output comes at most (p,); None: at once."""
-    came: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    result_times: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Of the first samples, when each result was in (k, p); NaN where it is not yet, or `result_delay` says it."""
 
     @cached_property
-    def shown(self) -> Array:
+    def clock_times(self) -> Array:
         """The times on the plan's clocks (K,)."""
         return self.clock.clock_time(self.times)
 
     @cached_property
     def sides(self) -> Array:
         """How early and how late a reading of each output of each sample may be (K, 2, p)."""
-        (count, p), both = self.seen.shape, np.array([self.late.early, self.late.late])
+        (count, p), both = self.measured.shape, np.array([self.late.early, self.late.late])
         found = np.tile(np.broadcast_to(both, (2, p)), (count, 1, 1))
-        known = min(len(self.sure), count)
-        found[:known] = self.sure[:known]
+        known = min(len(self.known_sides), count)
+        found[:known] = self.known_sides[:known]
         return found
 
     @cached_property
@@ -93,7 +93,7 @@ class SampleSequence:
     @cached_property
     def taken_by(self) -> Array:
         """When each sample is taken, all that it measures, at the latest (K,)."""
-        return np.asarray(self.times + np.max(self.sides[:, 1], axis=1, where=self.seen, initial=0.0))
+        return np.asarray(self.times + np.max(self.sides[:, 1], axis=1, where=self.measured, initial=0.0))
 
     @property
     def in_parts(self) -> bool:
@@ -106,18 +106,20 @@ class SampleSequence:
         Where samples may be early or late (`late`), after their centres, at the latest; else after their planned times.
         """
         found = (
-            np.zeros(self.seen.shape) if self.result_delay is None else np.tile(self.result_delay, (len(self.times), 1))
+            np.zeros(self.measured.shape)
+            if self.result_delay is None
+            else np.tile(self.result_delay, (len(self.times), 1))
         )
         found = found + self.forward if late else found
-        count = min(len(self.came), len(self.times))
+        count = min(len(self.result_times), len(self.times))
         if count:
-            known = self.came[:count] - (self.centres if late else self.times)[:count, None]
+            known = self.result_times[:count] - (self.centres if late else self.times)[:count, None]
             found[:count] = np.where(np.isnan(known), found[:count], known)
-        return np.where(self.seen & readable, found, np.inf)
+        return np.where(self.measured & readable, found, np.inf)
 
     def until(self, count: int) -> SampleSequence:
         """The first so many samples."""
-        return replace(self, times=self.times[:count], seen=self.seen[:count])
+        return replace(self, times=self.times[:count], measured=self.measured[:count])
 
     @property
     def start(self) -> int:
@@ -158,58 +160,60 @@ def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORD
     more = 0.0 if clock.calendar is None else DAY / clock.minutes + longest
     periods = np.arange(np.floor((start - more) / period), np.ceil((stop + more) / period) + 1) * period
     times = (periods[:, None] + schedule.times[None, :]).ravel()
-    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
+    measured = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
     near = (times >= start - more - GRAIN * period) & (times < stop + more)
-    times, seen = times[near], seen[near]
+    times, measured = times[near], measured[near]
     real = clock.elapsed(times)
     keep = (real >= start - GRAIN * period) & (real < stop - GRAIN * period)
     shows = np.abs(clock.clock_time(real) - times) < GRAIN * period
     if clock.calendar is not None:
-        shows[np.flatnonzero(shows)[too_soon(problem, real[shows], seen[shows])]] = False
-    return real[keep & shows], seen[keep & shows]
+        shows[np.flatnonzero(shows)[too_soon(problem, real[shows], measured[shows])]] = False
+    return real[keep & shows], measured[keep & shows]
 
 
-def begun(plan: PlanFigures, times: Array, seen: Mask, clock: PlanClock = ORDINARY) -> SampleSequence:
+def sequence_from_start(plan: PlanFigures, times: Array, measured: Mask, clock: PlanClock = ORDINARY) -> SampleSequence:
     """The plan from its start at time 0 on, with samples at real times (K,).
 
     One whose centre would not lie after the start comes between that and the latest that it may, about their middle.
     """
     late, p = plan.problem.timing_tolerance, plan.plant.n_outputs
-    sure = np.zeros((0, 2, p))
+    known_sides = np.zeros((0, 2, p))
     if late and times.size and times[0] + late.shift <= 0:
         first, after = float(times[0]), np.broadcast_to(late.late, p)
         before = np.minimum(np.broadcast_to(late.early, p), first)
         middle = first + (after.max() - before.max()) / 2
-        sure = np.maximum([[middle - first + before, first + after - middle]], 0.0)
+        known_sides = np.maximum([[middle - first + before, first + after - middle]], 0.0)
         times = np.append(middle, times[1:])
     if not times.size or times[0] > 0:
-        times, sure = np.append(0.0, times), np.concatenate([np.zeros((1, 2, p)), sure])
-        seen = np.concatenate([np.zeros((1, p), dtype=bool), seen])
+        times, known_sides = np.append(0.0, times), np.concatenate([np.zeros((1, 2, p)), known_sides])
+        measured = np.concatenate([np.zeros((1, p), dtype=bool), measured])
     delay = plan.problem.result_delay
-    return SampleSequence(times, seen, 0, clock, begins=True, late=late, sure=sure, result_delay=delay)
+    return SampleSequence(
+        times, measured, 0, clock, begins=True, late=late, known_sides=known_sides, result_delay=delay
+    )
 
 
-def too_soon(problem: PlanProblem, times: Array, seen: Mask, taken: int = 0) -> Mask:
+def too_soon(problem: PlanProblem, times: Array, measured: Mask, taken: int = 0) -> Mask:
     """Which samples at real times (K,) come sooner after those before them, of all or of a sensor, than spacings allow.
 
     Where clocks are put forward less time passes than they show. What comes too soon is not taken, but for the first
     `taken`, which were.
     """
-    found, last, read = np.zeros(times.size, dtype=bool), -np.inf, np.full(seen.shape[1], -np.inf)
+    found, last, read = np.zeros(times.size, dtype=bool), -np.inf, np.full(measured.shape[1], -np.inf)
     if max(problem.spacing, int(problem.sensor_spacing.max())) <= 1:
         return found
     least, apart = ((np.asarray(s) - WHOLE) * problem.step for s in (problem.spacing, problem.sensor_spacing))
     for k, t in enumerate(times.tolist()):
-        found[k] = k >= taken and (t - last < least or bool(np.any(t - read[seen[k]] < apart[seen[k]])))
+        found[k] = k >= taken and (t - last < least or bool(np.any(t - read[measured[k]] < apart[measured[k]])))
         if not found[k]:
-            last, read[seen[k]] = t, t
+            last, read[measured[k]] = t, t
     return found
 
 
-def is_apart(problem: PlanProblem, times: Array, seen: Mask, t: float, mask: Mask) -> bool:
+def is_apart(problem: PlanProblem, times: Array, measured: Mask, t: float, mask: Mask) -> bool:
     """Whether a sample at a real time t keeps the spacings to all those at real times (K,)."""
     off = np.abs(times - t)
-    shared = np.where(seen & mask, off[:, None], np.inf).min(axis=0, initial=np.inf)
+    shared = np.where(measured & mask, off[:, None], np.inf).min(axis=0, initial=np.inf)
     least = np.min(off, initial=np.inf) >= (problem.spacing - WHOLE) * problem.step
     return bool(least and np.all(shared >= (problem.sensor_spacing - WHOLE) * problem.step))
 
@@ -217,10 +221,10 @@ def is_apart(problem: PlanProblem, times: Array, seen: Mask, t: float, mask: Mas
 def departs_and_returns(plan: PlanFigures, sequence: SampleSequence) -> tuple[int, int]:
     """Index of the first sample that is not the plan's after the plan's gap, and from which on all are."""
     period, schedule = plan.schedule.period, plan.schedule
-    off = (sequence.shown[:, None] - schedule.times) / period
+    off = (sequence.clock_times[:, None] - schedule.times) / period
     off = np.abs(off - np.round(off))
     phase = np.argmin(off, axis=1)
-    own = (off.min(axis=1) <= GRAIN) & np.all(sequence.seen == plan.chosen[plan.chosen.any(axis=1)][phase], axis=1)
+    own = (off.min(axis=1) <= GRAIN) & np.all(sequence.measured == plan.chosen[plan.chosen.any(axis=1)][phase], axis=1)
     follows = own[1:] & own[:-1] & (phase[1:] == (phase[:-1] + 1) % len(schedule))
     follows &= np.abs(np.diff(sequence.times) - schedule.gaps[phase[1:]]) <= GRAIN * period  # gaps[j]: before sample j
     other = np.flatnonzero(~follows) + 1
@@ -235,24 +239,27 @@ def asked(
         return []
     problem, start = plan.problem, float(sequence.centres[k])
     begin, stop = sequence.taken_by[k : k + 2] - start if span is None else span
-    shown = sequence.shown[k] + sequence.shift[k] + np.array([0.0, stop])
+    clock_times = sequence.clock_times[k] + sequence.shift[k] + np.array([0.0, stop])
     phases = np.round(goal.steps) * problem.step
-    periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 2) * problem.period
+    periods = (
+        np.arange(np.floor(clock_times[0] / problem.period), np.ceil(clock_times.max() / problem.period) + 2)
+        * problem.period
+    )
     offsets = np.sort(sequence.clock.elapsed((periods[:, None] + phases[None, :]).ravel())) - start
     tiny = 1e-9 * problem.period
     inside = offsets[(offsets >= begin - tiny) & (offsets <= stop + tiny)]
     return np.clip(inside, begin, stop).tolist()  # type: ignore[no-any-return]
 
 
-class SpreadSequence:
+class SequenceFilter:
     """The filter of one plan's standard deviations, through samples that are not all the plan's."""
 
     def __init__(self, plan: PlanFigures):
         self.plan = plan
-        motion = plan.oracle.motion
-        self.A, self.noise, self.S = motion.A, motion.N @ motion.N.T, motion.S
+        discrete = plan.oracle.discrete
+        self.A, self.noise, self.S = discrete.A, discrete.N @ discrete.N.T, discrete.S
         rows = plan.oracle.rows
-        self.goals = [(goal, rows[g] / goal.tolerance) for g, goal in enumerate(plan.goals) if goal.spread]
+        self.goals = [(goal, rows[g] / goal.tolerance) for g, goal in enumerate(plan.goals) if goal.stochastic]
         self._known: dict[bytes, tuple[Array, Array]] = {}
         self._run: tuple[SampleSequence, float, list[tuple[int, Array]]] | None = None
         """The last sequence that was followed, until when, and what came of it."""
@@ -261,7 +268,7 @@ class SpreadSequence:
     def usual(self) -> float:
         """What the plan itself reaches of its tolerances."""
         pairs = zip(self.plan.reached.tolist(), self.plan.goals, strict=True)
-        return float(max(r / g.tolerance for r, g in pairs if g.spread))
+        return float(max(r / g.tolerance for r, g in pairs if g.stochastic))
 
     def _flows(self, lengths: Array) -> tuple[Array, Array]:
         """Flows over lengths, and the noise that joins; worked out once."""
@@ -325,8 +332,10 @@ class SpreadSequence:
                 offsets = self._offsets(goal, sequence, k, float(times[k + 1] - times[k]))
                 if offsets.size:
                     F, W = self._flows(offsets)
-                    flown = row @ F
-                    variance = np.einsum("ki,ij,kj->k", flown, P, flown) + np.einsum("i,kij,j->k", row, W, row)
+                    propagated = row @ F
+                    variance = np.einsum("ki,ij,kj->k", propagated, P, propagated) + np.einsum(
+                        "i,kij,j->k", row, W, row
+                    )
                     yield k, goal, offsets, np.sqrt(np.maximum(variance, 0.0)) * BETWEEN
 
     def at(self, history: SampleSequence, t: float) -> dict[str, float]:
@@ -343,13 +352,13 @@ class SpreadSequence:
             start = max(sequence.first - 1, 0)
             usual = sequence.wider**2 * self._limit(sequence, start)
             P = np.eye(len(self.A)) * WIDE if sequence.begins else usual
-            P = measurement_update(P, self.S[sequence.seen[0]]) if sequence.begins else P
+            P = measurement_update(P, self.S[sequence.measured[0]]) if sequence.begins else P
             found = [(start, P)]
             for k in range(start, len(times) - 1):
                 if times[k] >= until:
                     break
                 P = self._flow(found[-1][1], float(times[k + 1] - times[k]))
-                P = measurement_update(P, self.S[sequence.seen[k + 1]])
+                P = measurement_update(P, self.S[sequence.measured[k + 1]])
                 found.append((k + 1, P))
             self._run = sequence, until, found
         return self._run[2]
@@ -360,7 +369,7 @@ class SpreadSequence:
             return np.zeros(0 if begin else 1)
         if goal.at == "given times":
             return np.array([offset for offset in asked(self.plan, sequence, k, goal) if offset >= begin])
-        return np.linspace(begin, gap, LOOKS)
+        return np.linspace(begin, gap, OFFSETS)
 
     def _beyond(self, P: Array, usual: Array) -> float:
         """The least a with P <= a usual."""
@@ -371,10 +380,10 @@ class SpreadSequence:
 
     def _limit(self, sequence: SampleSequence, k: int) -> Array:
         """The plan's own covariance after a sample of a sequence."""
-        return np.asarray(self.limits[phase_of(self.plan.schedule, float(sequence.shown[k]))])
+        return np.asarray(self.limits[phase_of(self.plan.schedule, float(sequence.clock_times[k]))])
 
 
 @lru_cache(maxsize=4)
-def spread_of(plan: PlanFigures) -> SpreadSequence:
+def sequence_filter(plan: PlanFigures) -> SequenceFilter:
     """The filter of a plan, made once."""
-    return SpreadSequence(plan)
+    return SequenceFilter(plan)

@@ -9,7 +9,7 @@ import numpy as np
 from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.planning.figures import PlanFigures, PlanStart
 from sampling_design.planning.sequence import proven_ratio, settled_since, settling_time
-from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, begun, planned
+from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned, sequence_from_start
 from sampling_design.records.budget import Budget
 from sampling_design.schedules.opening import PlanClock
 
@@ -73,10 +73,10 @@ def settled_from_start(plan: PlanFigures) -> tuple[float, float]:
 
 def from_start(plan: PlanFigures, stop: float, clock: PlanClock = ORDINARY) -> SampleSequence:
     """The plan from its start up to a time, with what is known of the error then."""
-    return begun(plan, *planned(plan, 0.0, stop, clock), clock)
+    return sequence_from_start(plan, *planned(plan, 0.0, stop, clock), clock)
 
 
-def starts(plan: PlanFigures, found: PlanStart) -> bool:
+def start_holds(plan: PlanFigures, found: PlanStart) -> bool:
     """Whether a plan keeps its tolerances from when on a record says, proven anew."""
     anew, tiny = plan_start(plan), GRAIN * plan.schedule.period
     if anew is None or (anew.time_unit, anew.bounded) != (found.time_unit, found.bounded):

@@ -17,9 +17,9 @@ import numpy as np
 from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import ROUNDING
-from sampling_design.accuracy.sample_chain import SampleChain, noise_cost
+from sampling_design.accuracy.sampled_system import SampledSystem, noise_cost
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.sequence_chain import plan_bounds, plan_chain
+from sampling_design.planning.sequence_system import plan_bounds, plan_system
 from sampling_design.records.arrays import Array
 
 
@@ -47,23 +47,23 @@ class CutGains:
 def cut_gains(plan: PlanFigures) -> tuple[CutGains, ...]:
     """The gains of a plan's proof, node by node of its period."""
     assert plan.accuracy is not None
-    chain, atoms = plan_bounds(plan)
+    system, directions = plan_bounds(plan)
     count = len(plan.accuracy.question.primitive().nodes)  # the proof is over the shortest period
-    alike = {part.sample: part for part in plan.accuracy.proof if count == len(chain) or part.sample < count}
-    return tuple(_cut(chain, atoms, alike[j]) if j in alike else _nothing() for j in range(len(chain.samples)))
+    alike = {part.sample: part for part in plan.accuracy.proof if count == len(system) or part.sample < count}
+    return tuple(_cut(system, directions, alike[j]) if j in alike else _nothing() for j in range(len(system.samples)))
 
 
-def out_at(chain: SampleChain, node: int, phase: int) -> tuple[object, ...]:
+def out_at(system: SampledSystem, node: int, phase: int) -> tuple[object, ...]:
     """What is known at a node of which some results are out: its sample, and what of the last ones is in."""
-    path = [each for each in chain.nodes(node, 1) if each >= len(chain)]
-    return phase, *(tuple(chain.samples[each].outputs.tolist()) for each in path)
+    path = [each for each in system.nodes(node, 1) if each >= len(system)]
+    return phase, *(tuple(system.samples[each].outputs.tolist()) for each in path)
 
 
 @lru_cache(maxsize=4)
 def nodes_out(plan: PlanFigures) -> dict[tuple[object, ...], int]:
     """The nodes of a plan of which some results are out, by what is known there."""
-    chain = plan_chain(plan)
-    return {out_at(chain, node, chain.sample_of(node)): node for node in range(len(chain), len(chain.samples))}
+    system = plan_system(plan)
+    return {out_at(system, node, system.sample_of(node)): node for node in range(len(system), len(system.samples))}
 
 
 def settled_factors(plan: PlanFigures, phases: list[int], reach: list[Array]) -> Array:
@@ -77,8 +77,8 @@ def settled_factors(plan: PlanFigures, phases: list[int], reach: list[Array]) ->
 
 def wider_by(plan: PlanFigures, nodes: list[int], reach: list[Array]) -> Array:
     """How many times as large as at the plan's own nodes the error is at most, by bounds on |z|; 1 at least."""
-    atoms = plan_bounds(plan)[1]
-    each = [(now, atoms[node].reach) for now, node in zip(reach, nodes, strict=True)]
+    directions = plan_bounds(plan)[1]
+    each = [(now, directions[node].reach) for now, node in zip(reach, nodes, strict=True)]
     return np.array(
         [
             float(np.max(np.divide(now, was, out=np.where(now > 0, np.inf, 1.0), where=was > 0), initial=1.0))
@@ -91,24 +91,24 @@ def _nothing() -> CutGains:
     return CutGains(np.zeros((0, 0)), np.zeros((0, 0)))
 
 
-def _cut(chain: SampleChain, atoms: Sequence[BoundedDirections], part: GapProof) -> CutGains:
+def _cut(system: SampledSystem, directions: Sequence[BoundedDirections], part: GapProof) -> CutGains:
     """One node's gains, followed back in time."""
     back = max(map(len, part.gains), default=0)
     g, total = part.directions.T.copy(), np.zeros(len(part.directions))
     cost, rest = np.zeros((back, total.size)), np.zeros((back, total.size))
     last = np.array([len(given) for given in part.gains])
-    path = chain.latest(part.sample, back)[::-1]
+    path = system.latest(part.sample, back)[::-1]
     for i, node in enumerate(path):
         if i:
-            gap = chain.gap(node)
-            total = total + gap.panels.integral(g, chain.bounds.w_ball)
+            gap = system.gap(node)
+            total = total + gap.panels.integral(g, system.bounds.w_ball)
             g = gap.F.T @ g
-        sample, going = chain.samples[node], i < last
+        sample, going = system.samples[node], i < last
         lam = np.zeros((len(sample.H), total.size))
         for k in np.flatnonzero(going).tolist():
             lam[:, k] = part.gains[k][-1 - i]
-        total = total + noise_cost(lam, sample.exact, chain.bounds.v_ball)
+        total = total + noise_cost(lam, sample.exact, system.bounds.v_ball)
         g = g - sample.H.T @ lam
         cost[i] = np.where(going, total, cost[i - 1])
-        rest[i] = np.where(going, atoms[node].reach @ np.abs(g), rest[i - 1])
-    return CutGains(cost, rest, sum(node >= len(chain) for node in path))
+        rest[i] = np.where(going, directions[node].reach @ np.abs(g), rest[i - 1])
+    return CutGains(cost, rest, sum(node >= len(system) for node in path))

@@ -14,30 +14,30 @@ from sampling_design.records.arrays import Array
 FINER = (2, 3, 4, 5, 6, 7)  # parts of a step that are tried
 
 
-def modes_of(motion: DiscretePlant, undetected: UndetectedModes) -> str:
-    """Return the modes that hidden motions are made of, in words."""
+def modes_of(discrete: DiscretePlant, undetected: UndetectedModes) -> str:
+    """Return the modes that hidden trajectories are made of, in words."""
     names = []
-    scale = max(float(np.linalg.norm(motion.A, 2)), np.finfo(float).tiny)
-    clusters = eigenvalue_clusters(motion.A)
+    scale = max(float(np.linalg.norm(discrete.A, 2)), np.finfo(float).tiny)
+    clusters = eigenvalue_clusters(discrete.A)
     for cluster in clusters:
         value = complex(cluster.value)
         others = [complex(c.value) for c in clusters if c is not cluster]
         part = undetected.states.astype(np.complex128)
         for other in others:  # what is left after every other mode is taken out, as often as it may be repeated
-            for _ in range(motion.n - len(others)):
-                part = (motion.A - other * np.eye(motion.n)) @ part / (scale + abs(other))
+            for _ in range(discrete.n - len(others)):
+                part = (discrete.A - other * np.eye(discrete.n)) @ part / (scale + abs(other))
         if np.linalg.norm(part) > HIDDEN and value.imag >= 0:
-            names.append(format_eigenvalue(value, grain=STAYS / motion.step))
+            names.append(format_eigenvalue(value, grain=STAYS / discrete.step))
     return f"a trajectory of the mode{'s' if len(names) > 1 else ''} {', '.join(names)}" if names else "a trajectory"
 
 
-def finer_grid(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> float | None:
+def finer_grid(problem: PlanProblem, discrete: DiscretePlant, rows: Array) -> float | None:
     """Return a grid that shows all that never decays, in the hours that there are; None if none was found."""
     always = np.array([goal.at == "all times" for goal in problem.goals], dtype=bool)
     for parts in FINER:
         if problem.steps * parts > MOST_STEPS:
             break
-        finer = replace(motion, step=motion.step / parts, _flows={})
+        finer = replace(discrete, step=discrete.step / parts, _flows={})
         allowed = np.repeat(problem.allowed, parts, axis=0)
         if hidden_at(finer, allowed, rows, always) is None:
             return problem.step / parts

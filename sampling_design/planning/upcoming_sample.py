@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.readings import CensoredReading, PartialReading, rows_of, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
-from sampling_design.planning.deadline import GoalDue
+from sampling_design.planning.deadline import GoalDeadline
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import known_at, looks_back, time_out
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
@@ -57,15 +57,15 @@ class NextSample(Record):
     ratio : float
         What is proven of `latest`: accuracy over tolerance, from `kept_from` on and for ever after.
     proven : bool
-    due : GoalDue or None
+    deadline : GoalDeadline or None
         What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
         first if it does, and when. None if it may come at any time of a whole period. Where no tolerance is exceeded
         yet, but no sample keeps them all: the same of the sample at `latest`.
-    alone_due : dict of str to GoalDue
+    alone_deadlines : dict of str to GoalDeadline
         The same for each sensor alone.
     kept_from : float
         From when on every tolerance is kept: `now`, unless one cannot be; inf where nothing is known.
-    exceeded : GoalDue or None
+    exceeded : GoalDeadline or None
         The goal that is above its tolerance now, since when, and how far.
     known : dict of str to float
         How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
@@ -84,10 +84,10 @@ class NextSample(Record):
     best_outputs: tuple[str, ...]
     ratio: float
     proven: bool
-    due: GoalDue | None = None
-    alone_due: dict[str, GoalDue] = field(default_factory=dict)
+    deadline: GoalDeadline | None = None
+    alone_deadlines: dict[str, GoalDeadline] = field(default_factory=dict)
     kept_from: float = -np.inf
-    exceeded: GoalDue | None = None
+    exceeded: GoalDeadline | None = None
     known: dict[str, float] = field(default_factory=dict)
     judged_until: float = np.inf
     awaited: tuple[AwaitedResult, ...] = ()
@@ -141,9 +141,9 @@ class NextSample(Record):
         rows += [(f"{one.output} of {self.when(one.t)}", f"is out, in {self._comes(one)}") for one in self.awaited]
         rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
         rows.append(("latest" if self.keeps else "soonest help", self._read_at(self.latest, self.outputs)))
-        rows += [("later" if self.keeps else "then", self._later(self.due))] if self.due else []
+        rows += [("later" if self.keeps else "then", self._later(self.deadline))] if self.deadline else []
         for name, t in self.alone.items():
-            more = f"; later: {self._later(self.alone_due[name])}" if name in self.alone_due else ""
+            more = f"; later: {self._later(self.alone_deadlines[name])}" if name in self.alone_deadlines else ""
             rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
         rows += [("best", self._read_at(self.best, self.best_outputs))] if np.isfinite(self.best) else []
         rows += [] if self.keeps else [("kept again", self._again())]
@@ -161,12 +161,12 @@ class NextSample(Record):
         """From when on every tolerance is kept again."""
         return f"from {self.when(self.kept_from)} on" if np.isfinite(self.kept_from) else "not known"
 
-    def _later(self, due: GoalDue) -> str:
+    def _later(self, deadline: GoalDeadline) -> str:
         """What a later sample would do, in words."""
-        if due.breaks:
-            return f"{due.goal} reaches its tolerance by {self.when(due.time, self.now)}"
-        share = f"{short(due.ratio, 4)} of its tolerance"
-        return f"{due.goal} comes to {share} by {self.when(due.time, self.now)}, and more is not ruled out"
+        if deadline.breaks:
+            return f"{deadline.goal} reaches its tolerance by {self.when(deadline.time, self.now)}"
+        share = f"{short(deadline.ratio, 4)} of its tolerance"
+        return f"{deadline.goal} comes to {share} by {self.when(deadline.time, self.now)}, and more is not ruled out"
 
     def _read_at(self, t: float, outputs: tuple[str, ...]) -> str:
         """A time and what is read then."""
@@ -182,8 +182,8 @@ class NextSample(Record):
             one = f"{self.when(self.latest)} ({', '.join(self.outputs)})"
             text = f"A sample at {one} helps soonest"
             if self.exceeded is None:
-                late = "" if self.due is None else f": with one at {one} "
-                late += "" if self.due is None else self._later(self.due)
+                late = "" if self.deadline is None else f": with one at {one} "
+                late += "" if self.deadline is None else self._later(self.deadline)
                 text = f"No single sample keeps every tolerance from now on{late}"
             return f"{self._state()}{text}. Every tolerance is kept {self._again()}."
         alone = [
@@ -193,7 +193,7 @@ class NextSample(Record):
         ]
         by = "at" if self.plan.problem.spacing > 1 else "by"
         first = f"Next sample {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
-        later = f" At the next allowed time after that {self._later(self.due)}." if self.due else ""
+        later = f" At the next allowed time after that {self._later(self.deadline)}." if self.deadline else ""
         return "; ".join([first, *alone]) + "." + later
 
     def _state(self) -> str:
@@ -215,7 +215,7 @@ class NextSample(Record):
             date = self.date(t)
             return {"time": t if np.isfinite(t) else None, "date": None if date is None else date.isoformat()}
 
-        def deadline(found: GoalDue | None) -> Plain:
+        def plain_deadline(found: GoalDeadline | None) -> Plain:
             if found is None:
                 return None
             return {
@@ -228,15 +228,15 @@ class NextSample(Record):
             "now": plain(self.now),
             "latest": plain(self.latest),
             "outputs": list(self.outputs),
-            "due": deadline(self.due),
+            "deadline": plain_deadline(self.deadline),
             "alone": {name: plain(t) for name, t in self.alone.items()},
-            "alone_due": {name: deadline(self.alone_due.get(name)) for name in self.alone},
+            "alone_deadlines": {name: plain_deadline(self.alone_deadlines.get(name)) for name in self.alone},
             "best": plain(self.best),
             "best_outputs": list(self.best_outputs),
             "ratio": self.ratio if np.isfinite(self.ratio) else None,
             "proven": self.proven,
             "kept_from": plain(self.kept_from),
-            "exceeded": deadline(self.exceeded),
+            "exceeded": plain_deadline(self.exceeded),
             "known": {name: value if np.isfinite(value) else None for name, value in self.known.items()},
             "judged_until": plain(self.judged_until),
             "awaited": [
@@ -320,14 +320,14 @@ def next_sample(
     if not np.isfinite(full.t):
         full = run.soonest(prove)
     keeps = full.kept_from <= at
-    alone, alone_due = dict[str, float](), dict[str, GoalDue]()
+    alone, alone_deadlines = dict[str, float](), dict[str, GoalDeadline]()
     for j, name in enumerate(plan.plant.outputs.names):
         same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
         if keeps and plan.chosen[:, j].any():
             alone[name] = full.t if same else run.answer(j, prove).t
             why = run.later(None if same else j, alone[name])
             if why is not None:
-                alone_due[name] = why
+                alone_deadlines[name] = why
     best = run.best((full.t, full.mask)) if keeps else (full.t, full.mask)
     return NextSample(
         plan=plan,
@@ -339,8 +339,8 @@ def next_sample(
         best_outputs=_named(plan, best[1]),
         ratio=full.ratio,
         proven=full.proven,
-        due=run.later(None, full.t) if keeps else run.breach((full.t, full.mask)) if exceeded is None else None,
-        alone_due=alone_due,
+        deadline=run.later(None, full.t) if keeps else run.breach((full.t, full.mask)) if exceeded is None else None,
+        alone_deadlines=alone_deadlines,
         kept_from=full.kept_from,
         exceeded=exceeded,
         known=known_at(plan, run.history, at),
@@ -350,23 +350,23 @@ def next_sample(
 
 
 def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:
-    return tuple(name for name, seen in zip(plan.plant.outputs.names, mask, strict=True) if seen)
+    return tuple(name for name, measured in zip(plan.plant.outputs.names, mask, strict=True) if measured)
 
 
-class _Taken(NamedTuple):
+class _RecordedSamples(NamedTuple):
     """Samples of a record: times, what each measured, and of that what is in."""
 
     times: Array
-    seen: Mask
+    measured: Mask
     known: Mask
 
 
-def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None) -> _Taken | None:
+def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None) -> _RecordedSamples | None:
     """Times and outputs of a record."""
     if record is None:
         return None
     times: list[float] = []
-    seen: list[Mask] = []
+    measured: list[Mask] = []
     for item in rows_of(record):
         _, reading, *_ = checks.entries("record", item, (2, 3), "rows (t, y, u)")
         plain, limits = with_censored(reading, plan.plant.n_outputs)
@@ -382,9 +382,9 @@ def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | No
                 f"`record` must hold {plan.plant.n_outputs} outputs a sample, in order of time, got one at {t!r}."
             )
         times.append(t)
-        seen.append(y)
-    mask = np.array(seen, dtype=bool).reshape(-1, plan.plant.n_outputs)
-    return _Taken(np.array(times), mask, mask)
+        measured.append(y)
+    mask = np.array(measured, dtype=bool).reshape(-1, plan.plant.n_outputs)
+    return _RecordedSamples(np.array(times), mask, mask)
 
 
 def _as_planned(plan: Plan, reading: CensoredReading) -> bool:
@@ -394,7 +394,9 @@ def _as_planned(plan: Plan, reading: CensoredReading) -> bool:
     return limit is not None and reading.began is None and np.isinf(reading.lower) and reading.upper <= limit
 
 
-def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, str]], now: float) -> _Taken | None:
+def _with_awaited(
+    plan: Plan, taken: _RecordedSamples | None, awaited: list[tuple[float, str]], now: float
+) -> _RecordedSamples | None:
     """A record with the samples whose results are still out; those that should be in by now are lost."""
     if not awaited:
         return taken
@@ -403,7 +405,7 @@ def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, s
         raise ArgumentError(
             "`awaited` needs a `record`: without one the plan was followed, and its own results are out."
         )
-    found = {t: (seen.copy(), known.copy()) for t, seen, known in zip(*taken, strict=True)}
+    found = {t: (measured.copy(), known.copy()) for t, measured, known in zip(*taken, strict=True)}
     for item in awaited:
         time, output = checks.entries("awaited", item, (2,), "pairs (t, output)")
         t, name = checks.number("awaited", time), checks.of_kind("awaited", output, str, "the name of an output")
@@ -416,13 +418,13 @@ def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, s
         t = near if abs(near - t) <= tiny else t
         if t > now + tiny:
             raise ArgumentError(f"`awaited` must have been taken by now, {now!r}, got {name} at {t!r}.")
-        seen, _known = found.setdefault(t, (np.zeros(len(names), dtype=bool), np.zeros(len(names), dtype=bool)))
-        if seen[j]:
+        measured, _known = found.setdefault(t, (np.zeros(len(names), dtype=bool), np.zeros(len(names), dtype=bool)))
+        if measured[j]:
             raise ArgumentError(f"`awaited` names {name} at {t!r}, which is in the record or named twice.")
-        seen[j] = t + delay > now + tiny  # else it is lost
+        measured[j] = t + delay > now + tiny  # else it is lost
     found = {t: masks for t, masks in sorted(found.items()) if masks[0].any()}
     both = np.array(list(found.values()), dtype=bool).reshape(-1, 2, len(names))
-    return _Taken(np.array(list(found)), both[:, 0], both[:, 1])
+    return _RecordedSamples(np.array(list(found)), both[:, 0], both[:, 1])
 
 
 def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult, ...]:
@@ -439,7 +441,7 @@ def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult
     )
 
 
-def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
+def _history(plan: Plan, taken: _RecordedSamples | None, now: float) -> SampleSequence:
     """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof."""
     mean = plan.schedule.period / len(plan.schedule)
     span = (looks_back(plan) + 1) * mean + plan.schedule.period + time_out(plan)
@@ -454,30 +456,40 @@ def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
         if taken is None:
             return begun
         before = begun.times < until
-        times, seen = (
+        times, measured = (
             np.concatenate([begun.times[before], taken.times]),
-            np.concatenate([begun.seen[before], taken.seen]),
+            np.concatenate([begun.measured[before], taken.measured]),
         )
-        sure = np.concatenate([begun.sides[before], np.zeros((len(taken.seen), 2, plan.plant.n_outputs))])
-        return replace(begun, times=times, seen=seen, sure=sure, came=_came(plan, int(before.sum()), taken, now))
-    times, seen = planned(plan, until - span, until, plan.clock)
+        known_sides = np.concatenate([begun.sides[before], np.zeros((len(taken.measured), 2, plan.plant.n_outputs))])
+        return replace(
+            begun,
+            times=times,
+            measured=measured,
+            known_sides=known_sides,
+            result_times=_result_times(plan, int(before.sum()), taken, now),
+        )
+    times, measured = planned(plan, until - span, until, plan.clock)
     first, delay = _unchanged(plan, times), plan.problem.result_delay
-    followed = SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, result_delay=delay)
+    followed = SampleSequence(times, measured, first, plan.clock, wider=wider, late=late, result_delay=delay)
     if taken is None:
         return followed
     wanted = planned(plan, until, now + tiny, plan.clock)
     same, count = 0, times.size
-    for t, mask, due, meant in zip(taken.times, taken.seen, wanted[0], wanted[1], strict=False):
-        if late.shift or abs(t - due) > tiny or not np.array_equal(mask, meant):  # the plan's own is about its centre
+    for t, mask, deadline, meant in zip(taken.times, taken.measured, wanted[0], wanted[1], strict=False):
+        if (
+            late.shift or abs(t - deadline) > tiny or not np.array_equal(mask, meant)
+        ):  # the plan's own is about its centre
             break
         same += 1
-    times, seen = np.concatenate([times, taken.times]), np.concatenate([seen, taken.seen])
-    first, came = min(count + same, _unchanged(plan, times)), _came(plan, count, taken, now)
-    sure = np.concatenate([followed.sides, np.zeros((len(taken.seen), 2, plan.plant.n_outputs))])
-    return replace(followed, times=times, seen=seen, first=first, sure=sure, came=came)
+    times, measured = np.concatenate([times, taken.times]), np.concatenate([measured, taken.measured])
+    first, result_times = min(count + same, _unchanged(plan, times)), _result_times(plan, count, taken, now)
+    known_sides = np.concatenate([followed.sides, np.zeros((len(taken.measured), 2, plan.plant.n_outputs))])
+    return replace(
+        followed, times=times, measured=measured, first=first, known_sides=known_sides, result_times=result_times
+    )
 
 
-def _came(plan: Plan, before: int, taken: _Taken, now: float) -> Array:
+def _result_times(plan: Plan, before: int, taken: _RecordedSamples, now: float) -> Array:
     """When each result of a history was in: those of the record by now, none earlier than was said."""
     delay = plan.problem.result_delay
     if delay is None:

@@ -25,7 +25,7 @@ SEQUENCE = (1e-3, 5e-5)
 RELAXED = (5e-3, 3e-6)  # of a linear program, and for each entry
 GAINS = (5e-3, 1e-4)  # of bounding a row by gains, and for each sample behind it, with n states, n times
 BETWEEN = 1e-2  # of bounding a row between two samples
-CHAIN = (1e-2, 2e-4)  # of making a chain of samples, and for each of them, with n states, n^2 times
+SYSTEM = (1e-2, 2e-4)  # of making a sampled system, and for each of them, with n states, n^2 times
 
 STARTED = (0.0, 5e-5)
 """The same from a plan's start on: for N samples, of which a filter with n states forgets F, n N F times."""

@@ -67,7 +67,11 @@ def _goal(result: PlanFigures, k: int, ax: Axes) -> None:
     """The accuracy of one goal over the period, with its tolerance."""
     goal = result.goals[k]
     (edges, upper), period = result.curve(k), result.schedule.period
-    for cycle, label in ((-period, None), (0.0, "standard deviation" if goal.spread else "guaranteed"), (period, None)):
+    for cycle, label in (
+        (-period, None),
+        (0.0, "standard deviation" if goal.stochastic else "guaranteed"),
+        (period, None),
+    ):
         ax.stairs(upper, edges + cycle, baseline=None, color=style.PROVEN, label=label)
     ax.axhline(goal.tolerance, color=style.FAILED, linewidth=1.2, linestyle="--", label="tolerance")
     if result.bound.ratio is not None:

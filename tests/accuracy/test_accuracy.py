@@ -243,8 +243,8 @@ def test_rows_asked_for_together_are_known_as_well_as_alone():
 
 def test_what_only_the_width_of_panels_leaves_open_is_not_sought_for_ever(monkeypatch):
     """A sample that says nothing new: 0.1 at all times, where 64 panels of a long gap cannot tell 0.1 from 0.1005."""
-    calls, attack = [], search.ChainSearch.both_sides
-    monkeypatch.setattr(search.ChainSearch, "both_sides", lambda *given: calls.append(1) or attack(*given))
+    calls, attack = [], search.GainSearch.both_sides
+    monkeypatch.setattr(search.GainSearch, "both_sides", lambda *given: calls.append(1) or attack(*given))
     found = sd.guaranteed_accuracy(
         sd.Plant([[-1.0]], [[1.0]]), sd.PeriodicSchedule([24.0]), w_bound=0.1, v_bound=0.5, rtol=1e-3
     )
@@ -286,7 +286,7 @@ def test_a_bracket_that_had_no_time_is_proven_and_says_that_it_is_wide(found):
 
 @pytest.mark.parametrize("at", few([0, 1, 3, 6], 1, 3))
 def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
-    calls, attack = [], search.ChainSearch.both_sides
+    calls, attack = [], search.GainSearch.both_sides
 
     def interrupted(*given):
         calls.append(1)
@@ -294,7 +294,7 @@ def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
             raise KeyboardInterrupt
         return attack(*given)
 
-    monkeypatch.setattr(search.ChainSearch, "both_sides", interrupted)
+    monkeypatch.setattr(search.GainSearch, "both_sides", interrupted)
     left = sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, rtol=1e-5)
     assert left.verify()
     assert np.all(left.lower <= found.upper)
@@ -306,8 +306,8 @@ def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
 @pytest.mark.parametrize("v_bound", few([[[0.4], [0.3]] * 3, 0.4, {"y1": (-0.1, 0.5)}], 2))
 def test_a_period_given_several_times_over_is_asked_once(v_bound, monkeypatch):
     """At no cost beside one period, with the same numbers, a proof that holds and every sample in its place."""
-    solves, gains = [], search.ChainSearch.gains
-    monkeypatch.setattr(search.ChainSearch, "gains", lambda *given: solves.append(1) or gains(*given))
+    solves, gains = [], search.GainSearch.gains
+    monkeypatch.setattr(search.GainSearch, "gains", lambda *given: solves.append(1) or gains(*given))
     gaps = np.array([0.75, 1.5])
     once = sd.guaranteed_accuracy(
         OSCILLATOR,

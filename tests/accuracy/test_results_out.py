@@ -113,7 +113,7 @@ def test_times_in_a_refusal_have_digits_enough_to_be_told_apart():
 
 def test_what_bounds_nodes_of_which_results_are_out_is_found_when_it_is_asked_for():
     found = guaranteed_accuracy(WALK, BOTH, w_bound=0.1, v_bound=terms((0.3, 0.25), (0.02, 3.25)))
-    chain, bounds = found.question.filter_bounds(WALK)
-    assert len(bounds) == len(chain.samples) > len(chain)
+    system, bounds = found.question.filter_bounds(WALK)
+    assert len(bounds) == len(system.samples) > len(system)
     assert [each.reach for each in bounds] == [each.reach for each in bounds[:]]
     assert all(np.all(each.reach > 0) for each in bounds)

@@ -15,7 +15,7 @@ from scipy.optimize import differential_evolution
 
 import sampling_design as sd
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.discrete_plant import motion_of
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.proven_choice import accuracy_of
 from tests.benchmarks.plan_gaps import posed
 
@@ -50,7 +50,7 @@ class Rival:
 
     def __init__(self, problem, seconds):
         self.problem, self.seconds = problem, seconds
-        self.oracle, self.began = AccuracyOracle(problem, motion_of(problem)), time.process_time()
+        self.oracle, self.began = AccuracyOracle(problem, discretize(problem)), time.process_time()
         self.best, self.chosen, self.tried = np.inf, None, 0
 
     def __call__(self, shares):

@@ -6,7 +6,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.planning import plan as room
 from sampling_design.planning.coarser_grid import coarser, lifted_trajectories
-from sampling_design.planning.evidence import reflown
+from sampling_design.planning.evidence import resimulated
 from sampling_design.planning.problem import pose_plan
 from tests.cases import few
 
@@ -50,7 +50,7 @@ def test_the_most_accurate_plan_is_as_good_as_those_it_starts_from():
     starts = run.started()
     assert starts
     assert all(not start[np.arange(24) % 3 > 0].any() for start in starts)
-    best = min(run.held.proven(start).worst for start in starts)
+    best = min(run.feasible.proven(start).worst for start in starts)
     assert sd.plan_samples(OSCILLATOR, wanted, search_seconds=0.3, **BARE).ratio <= best * (1 + 1e-9)
 
 
@@ -64,14 +64,14 @@ def test_what_refutes_choices_on_a_coarser_grid_does_on_the_finer_one():
         coarse = room._Planning(coarser(run.problem), 1.0, None)
         coarse._cheapest()
         attacks = coarse.search.pool.trajectories
-        lifted = lifted_trajectories(run.oracle, coarse.motion, attacks)
+        lifted = lifted_trajectories(run.oracle, coarse.discrete, attacks)
         assert len(lifted) == len(attacks) > 0
         for one, other in zip(attacks, lifted, strict=True):
-            if one.flight is not None:
+            if one.response is not None:
                 assert other.reach == pytest.approx(one.reach, rel=1e-6)
                 assert other.end == 3 * one.end
                 assert np.all(other.peaks[::3] >= one.peaks * (1 - 1e-6) - 1e-9)
-                again = reflown(run.problem, run.motion, other)
+                again = resimulated(run.problem, run.discrete, other)
                 assert again.reach == pytest.approx(other.reach, rel=1e-5)
 
 

@@ -63,7 +63,7 @@ def test_no_motion_of_a_finite_schedule_breaks_what_a_plan_says_of_its_start(pla
     end = float(samples.times[-1])
     alone = sd.guaranteed_accuracy(
         plan.plant,
-        sd.Schedule(samples.times[samples.seen[:, 0]]),
+        sd.Schedule(samples.times[samples.measured[:, 0]]),
         w_bound=plan.requirement.w_bound,
         v_bound=float(problem.v_bound[0]),
         initial_error=error,

@@ -97,7 +97,7 @@ def test_a_proof_that_fails_late_gives_back_what_was_held_before(monkeypatch):
 
     monkeypatch.setattr(PlanSearch, "keep", kept)
     monkeypatch.setattr(room._Planning, "_ratios", late)
-    monkeypatch.setattr(room._Planning, "_farther", lambda self, found: False)
+    monkeypatch.setattr(room._Planning, "_needs_longer_past", lambda self, found: False)
     monkeypatch.setattr(room, "MARGINS", (room.MARGIN,))
     found = sd.plan_samples(OSCILLATOR, WANTED, search_seconds=0.6, **BARE)
     assert int(held[-1].sum()) == 4  # cheaper, and not proven

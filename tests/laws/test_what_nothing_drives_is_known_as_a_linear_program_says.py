@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.search import GainSearch
 from tests.cases import few
 from tests.oracles.accuracy import undriven
 
@@ -31,13 +31,13 @@ MOST = 150
 
 def counted(monkeypatch):
     """Searches that are made from now on."""
-    made, begin = [], ChainSearch.__init__
+    made, begin = [], GainSearch.__init__
 
     def noted(self, *given, **named):
         begin(self, *given, **named)
         made.append(self)
 
-    monkeypatch.setattr(ChainSearch, "__init__", noted)
+    monkeypatch.setattr(GainSearch, "__init__", noted)
     return made
 
 

@@ -128,9 +128,9 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
         ({**data, "cost": data["cost"] - 1}, "where the schedule gives"),
         ({**data, "cost": data["cost"] + 1}, "where the schedule gives"),
         ({**data, "schedule": {**data["schedule"], "times": [0.0] * len(data["schedule"]["times"])}}, "cannot be used"),
-        ({**data, "attacks": [{**a, "knots": [1]} for a in data["attacks"]]}, "that do not fit together"),
+        ({**data, "trajectories": [{**a, "knots": [1]} for a in data["trajectories"]]}, "that do not fit together"),
         ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "tree": []}}, "has a tree that is cut off"),
-        ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "rows": [[99, 0]]}}, "rows of none of the `attacks`"),
+        ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "rows": [[99, 0]]}}, "none of the `trajectories`"),
         ({**data, "no_cheaper_than": more}, "has nodes beside its tree"),
     ]  # fmt: skip
     for changed, words in cases:

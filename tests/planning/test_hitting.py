@@ -12,8 +12,8 @@ from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import prove_cost
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, proven_cost
 from sampling_design.planning.covering import CoveringRows
-from sampling_design.planning.discrete_plant import motion_of
-from sampling_design.planning.evidence import PlanBound, holds
+from sampling_design.planning.discrete_plant import discretize
+from sampling_design.planning.evidence import PlanBound, bound_holds
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
 from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.planning.problem import pose_plan
@@ -71,9 +71,9 @@ def test_it_says_what_trying_all_choices_says(seed):
     closed = rng.choice(STEPS, 3, replace=False).tolist() if seed % 2 else ()
     problem = posed(int(rng.integers(2, 5)), closed=closed)
     pool = pooled(rng, problem, int(rng.integers(1, 5)), at_sample=seed % 4 > 1)
-    cover = CoveringRows(problem, fixed=problem.is_free)
+    covering = CoveringRows(problem, fixed=problem.is_free)
     most = int(problem.most_samples)
-    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True))
     wanted = tried(problem, pool, most)
     assert found is not None
     assert found.none == (not wanted)
@@ -81,9 +81,9 @@ def test_it_says_what_trying_all_choices_says(seed):
         assert found.proof is None
         assert tuple(np.flatnonzero(found.chosen.any(axis=1)).tolist()) in wanted
         return
-    assert proven_cost(cover, pool, found.proof) >= cover.dearest * (1 - 1e-9)
+    assert proven_cost(covering, pool, found.proof) >= covering.dearest * (1 - 1e-9)
     loose = CoveringRows(
-        replace(problem, most_samples=np.inf), fixed=cover.fixed
+        replace(problem, most_samples=np.inf), fixed=covering.fixed
     )  # one more than these is all that is proven
     again = smallest_hitting_set(loose, pool, 1.0, most + 1.0, Budget(counted=True))
     assert proven_cost(loose, pool, again.proof) == most + 1.0
@@ -94,9 +94,9 @@ def test_both_answers_are_met():
     for seed in range(40):
         rng = np.random.default_rng(seed)
         problem = posed(3)
-        cover = CoveringRows(problem, fixed=True)
+        covering = CoveringRows(problem, fixed=True)
         answers.append(
-            smallest_hitting_set(cover, pooled(rng, problem, 3), 1.0, cover.dearest, Budget(counted=True)).none
+            smallest_hitting_set(covering, pooled(rng, problem, 3), 1.0, covering.dearest, Budget(counted=True)).none
         )
     assert 5 < sum(answers) < 35
 
@@ -105,11 +105,11 @@ def test_both_answers_are_met():
 def test_a_limit_of_money_is_one_of_samples(limit):
     rng = np.random.default_rng(8)
     problem = posed(None, visit_price=5.0, cost_limit=limit)
-    cover, pool = CoveringRows(problem, fixed=True), pooled(rng, problem, 6)
+    covering, pool = CoveringRows(problem, fixed=True), pooled(rng, problem, 6)
     assert not tried(problem, pool, 2)
-    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True))
     assert found.none
-    assert proven_cost(cover, pool, found.proof) > limit  # two samples are all that it buys
+    assert proven_cost(covering, pool, found.proof) > limit  # two samples are all that it buys
 
 
 def leaves(tree):
@@ -123,20 +123,20 @@ def leaves(tree):
 def unseen():
     """A pool that three samples do not see, and a proof with several leaves."""
     problem = posed(3)
-    cover = CoveringRows(problem, fixed=True)
+    covering = CoveringRows(problem, fixed=True)
     for seed in range(1000):
         pool = pooled(np.random.default_rng(seed), problem, 3)
-        found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+        found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True))
         if found.none and leaves(found.proof.tree)[0] > 8:
-            return cover, pool, found.proof
+            return covering, pool, found.proof
     raise AssertionError
 
 
 def test_every_leaf_and_every_row_is_needed():
-    cover, pool, proof = unseen()
+    covering, pool, proof = unseen()
     count, without = leaves(proof.tree)
     for k in range(count):
-        assert proven_cost(cover, pool, replace(proof, tree=without(k))) < cover.dearest - 1
+        assert proven_cost(covering, pool, replace(proof, tree=without(k))) < covering.dearest - 1
     for k in range(len(proof.keys)):  # a motion that all steps show asks for nothing
         (a, end), faint = proof.keys[k], HiddenTrajectories(pool.steps, pool.ends)
         faint.trajectories = [
@@ -144,30 +144,30 @@ def test_every_leaf_and_every_row_is_needed():
             replace(pool.trajectories[a], peaks=np.full_like(pool.trajectories[a].peaks, 2.0)),
         ]
         keys = (*proof.keys[:k], (len(pool.trajectories), end), *proof.keys[k + 1 :])
-        assert proven_cost(cover, faint, replace(proof, keys=keys)) < cover.dearest - 1
+        assert proven_cost(covering, faint, replace(proof, keys=keys)) < covering.dearest - 1
 
 
 def test_motions_that_end_where_nothing_is_asked_prove_nothing():
     problem = posed(3)
     ends = np.zeros(problem.steps, dtype=bool)
     ends[3] = True
-    cover, pool = CoveringRows(problem, fixed=False), HiddenTrajectories(problem.steps, [ends])
+    covering, pool = CoveringRows(problem, fixed=False), HiddenTrajectories(problem.steps, [ends])
     pool.add(HiddenTrajectory(0, 1.0, 3, False, np.full((problem.steps, 2), 0.5), NO_FLIGHT))
-    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True))
     assert found.none
-    assert proven_cost(cover, pool, found.proof) >= cover.dearest * (1 - 1e-9)
+    assert proven_cost(covering, pool, found.proof) >= covering.dearest * (1 - 1e-9)
     turned = replace(found.proof, keys=tuple((a, end + 1) for a, end in found.proof.keys))
-    assert proven_cost(cover, pool, turned) == -np.inf
+    assert proven_cost(covering, pool, turned) == -np.inf
 
 
 def test_a_motion_at_a_sample_asks_nothing_where_none_may_be_taken():
     problem = posed(3, closed=[4])
-    cover = CoveringRows(problem)
+    covering = CoveringRows(problem)
     attack = HiddenTrajectory(0, 1.0, 4, True, np.full((problem.steps, 2), 0.5), NO_FLIGHT)
-    assert cover.row(attack, 4, 1.0)[0].size == 0
-    assert cover.row(attack, 4, 1.0)[2] == 0.0
-    assert cover.row(attack, 5, 1.0)[2] == 0.0  # where one is taken, it must be seen: it is not
-    assert cover.row(attack, 5, 1.0)[1].tolist() == [-1.0]
+    assert covering.row(attack, 4, 1.0)[0].size == 0
+    assert covering.row(attack, 4, 1.0)[2] == 0.0
+    assert covering.row(attack, 5, 1.0)[2] == 0.0  # where one is taken, it must be seen: it is not
+    assert covering.row(attack, 5, 1.0)[1].tolist() == [-1.0]
 
 
 @pytest.mark.parametrize(
@@ -188,25 +188,29 @@ def test_where_more_than_the_number_counts_a_solver_is_asked(more):
 
 
 def test_nodes_that_run_out_leave_the_question_to_the_solver(monkeypatch):
-    cover, pool, _ = unseen()
+    covering, pool, _ = unseen()
     monkeypatch.setattr(hitting_set, "MOST_NODES", 3)
-    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True))
     assert (found.chosen, found.none, found.proof) == (None, False, None)
-    proof = prove_cost(cover, pool, 1.0, cover.dearest, Budget(counted=True), find=lambda x, level: None, decide=True)
-    assert proof.value >= cover.dearest * (1 - 1e-9)
+    proof = prove_cost(
+        covering, pool, 1.0, covering.dearest, Budget(counted=True), find=lambda x, level: None, decide=True
+    )
+    assert proof.value >= covering.dearest * (1 - 1e-9)
 
 
 def test_what_must_be_measured_once_is_met_and_has_no_proof():
     problem = posed(3)
-    cover, pool = (
+    covering, pool = (
         CoveringRows(problem, fixed=False),
         HiddenTrajectories(problem.steps, [np.ones(problem.steps, dtype=bool)]),
     )
     masks = np.zeros((4, problem.steps, 2), dtype=bool)
     for k, mask in enumerate(masks):
         mask[3 * k : 3 * k + 3] = True
-    assert smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks[:3]).chosen[3:6].any()
-    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks)
+    assert (
+        smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True), masks[:3]).chosen[3:6].any()
+    )
+    found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True), masks)
     assert found.none
     assert found.proof is None
 
@@ -233,8 +237,8 @@ def test_the_most_accurate_plan_reads_every_sensor_that_costs_nothing():
     assert found.gap <= 0.02
     assert found.verify()
     problem = pose_plan(TWO, found.requirement)
-    cover, ends = CoveringRows(problem, fixed=True), [problem.ends(0)]
-    motion, ratio = motion_of(problem), found.bound.ratio
-    assert holds(found.bound, cover, cover, motion, ends, 3.0)
+    covering, ends = CoveringRows(problem, fixed=True), [problem.ends(0)]
+    discrete, ratio = discretize(problem), found.bound.ratio
+    assert bound_holds(found.bound, covering, covering, discrete, ends, 3.0)
     higher = PlanBound(found.bound.trajectories, replace(ratio, level=ratio.level * 1.05), None)
-    assert not holds(higher, cover, cover, motion, ends, 3.0)  # a level nobody showed to be out of reach
+    assert not bound_holds(higher, covering, covering, discrete, ends, 3.0)  # a level nobody showed to be out of reach

@@ -7,11 +7,11 @@ import sampling_design as sd
 from sampling_design.accuracy.start import ErrorReach
 from sampling_design.planning import sequence as sequences
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.discrete_plant import motion_of
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import delayed
-from sampling_design.planning.narrowing import narrowed, shown
+from sampling_design.planning.narrowing import detecting_measurements, narrowed
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.sequence_chain import plan_chain
+from sampling_design.planning.sequence_system import plan_system
 from sampling_design.planning.transient_bound import cut_gains, settled_factors
 
 LEVEL = 1.0
@@ -31,7 +31,7 @@ def oracle():
         sensors={"y1": {"noise_bound": 0.1, "price": 1.0}, "y2": {"noise_bound": 0.2, "price": 1.0}},
     )
     problem = pose_plan(plant, wanted)
-    return AccuracyOracle(problem, motion_of(problem))
+    return AccuracyOracle(problem, discretize(problem))
 
 
 def test_an_attack_is_narrowed_to_fewer_measurements_and_reaches_the_level_still(oracle):
@@ -41,7 +41,7 @@ def test_an_attack_is_narrowed_to_fewer_measurements_and_reaches_the_level_still
     attack = max(attacks, key=lambda each: each.reach)
     assert attack.reach > LEVEL
     found = narrowed(oracle, attack, LEVEL)
-    before, after = shown(oracle, attack, LEVEL), shown(oracle, found, LEVEL)
+    before, after = detecting_measurements(oracle, attack, LEVEL), detecting_measurements(oracle, found, LEVEL)
     assert found.reach > LEVEL
     assert not np.any(after & ~before)
     assert after.sum() < before.sum()
@@ -54,33 +54,33 @@ def test_what_nothing_shows_drifts_until_it_reaches_any_level(oracle):
     chosen[::3, 0] = True
     blindness = oracle.hidden(chosen)
     for level in (1.0, 5.0):
-        attack = oracle.drifting(blindness, level)
+        attack = oracle.drifting_trajectory(blindness, level)
         assert attack.reach > level
         assert oracle.problem.goals[attack.goal].name == "x3"
-        assert not np.any(shown(oracle, attack, level) & ~blindness.where)
+        assert not np.any(detecting_measurements(oracle, attack, level) & ~blindness.where)
 
 
 def test_gains_cut_off_nowhere_prove_what_the_plan_proves(week):
     whole = [part.cost[-1] + part.rest[-1] for part in cut_gains(week)]
     for part, total in zip(week.accuracy.proof, whole, strict=True):
-        chain = plan_chain(week)
+        system = plan_system(week)
         assert total == pytest.approx(
-            [evaluated_at(chain, part, k) for k in range(len(part.gains))], rel=1e-9
+            [evaluated_at(system, part, k) for k in range(len(part.gains))], rel=1e-9
         )  # the same sums, one by one
 
 
-def evaluated_at(chain, part, k):
+def evaluated_at(system, part, k):
     from sampling_design.accuracy.gains import evaluated
 
-    nodes = chain.nodes(part.sample, len(part.gains[k]))
-    return evaluated(chain, nodes, ErrorReach(chain.reach[nodes[0]]), part.directions[k], list(part.gains[k])).value
+    nodes = system.nodes(part.sample, len(part.gains[k]))
+    return evaluated(system, nodes, ErrorReach(system.reach[nodes[0]]), part.directions[k], list(part.gains[k])).value
 
 
 def test_an_error_as_small_as_the_plans_leaves_its_gaps_as_they_are_and_a_larger_one_fades(week):
-    chain, N = plan_chain(week), week.samples
+    system, N = plan_system(week), week.samples
     phases = [k % N for k in range(40 * N)]
-    assert settled_factors(week, phases, [chain.reach[k] for k in phases])[-1] == pytest.approx(1.0, abs=1e-6)
-    wide = [chain.reach[k] * (10.0 if j == 0 else 1.0) for j, k in enumerate(phases)]
+    assert settled_factors(week, phases, [system.reach[k] for k in phases])[-1] == pytest.approx(1.0, abs=1e-6)
+    wide = [system.reach[k] * (10.0 if j == 0 else 1.0) for j, k in enumerate(phases)]
     found = settled_factors(week, phases, wide)
     assert found[0] > 1.5
     assert np.all(found >= 1.0)

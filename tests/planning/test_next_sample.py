@@ -8,13 +8,13 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.errors import ArgumentError, NotDetectableError
-from sampling_design.planning.deadline import GoalDue
+from sampling_design.planning.deadline import GoalDeadline
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
-from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.planning.sequence_system import plan_system
 from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False, "start": False}
@@ -38,19 +38,21 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     found = sd.next_sample(week, now=0.0)
     assert found.proven
     assert found.ratio <= 1
-    due = planned(week, 0.5, week.schedule.period)[0][0]
-    assert found.latest >= due - 1e-9
+    planned_at = planned(week, 0.5, week.schedule.period)[0][0]
+    assert found.latest >= planned_at - 1e-9
     assert week.problem.allowed[round(found.latest / week.problem.step) % week.problem.steps].any()
     assert "Next sample by " in found.explain()
     outputs, day = week.plant.outputs.names, 24.0
     told = replace(
-        found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5}, due=None
+        found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5}, deadline=None
     )
     clock, before = told.date(day + 14), told.date(day - 5)
     first = f"Next sample by {clock:%a} 14:00 ({', '.join(outputs)})"
     assert told.explain() == f"{first}; {outputs[0]} alone by 11:30; {outputs[1]} alone by {before:%a} 19:00."
     later = replace(
-        told, due=GoalDue("level", day + 27.25, 1.02), alone_due={outputs[0]: GoalDue("level", 40.0, 0.999)}
+        told,
+        deadline=GoalDeadline("level", day + 27.25, 1.02),
+        alone_deadlines={outputs[0]: GoalDeadline("level", 40.0, 0.999)},
     )
     by = f"level reaches its tolerance by {told.date(day + 27.25):%a} 03:15"
     assert later.explain() == f"{told.explain()} At the next allowed time after that {by}."
@@ -67,10 +69,10 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
         alone={outputs[0]: -np.inf},
         ratio=1.001,
         proven=False,
-        due=None,
+        deadline=None,
         kept_from=np.inf,
         known={"level": 3.5},
-        exceeded=GoalDue("level", -3.0, 1.1),
+        exceeded=GoalDeadline("level", -3.0, 1.1),
     )
     assert "the tolerances back (1.001 of them after the last one tried): keep to the plan's" in none.explain()
     since = f"level has been above its tolerance of 3 cm since {found.when(-3.0)}: within 3.5 cm now. "
@@ -90,8 +92,10 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert late.explain() == f"{since}{again}. Every tolerance is kept from {found.when(2 * day)} on."
     first = replace(late, exceeded=None)
     assert "No single sample keeps every tolerance from now on. Every" in first.explain()
-    due = GoalDue("level", day + 20, 1.1)
-    assert f"level reaches its tolerance by {found.when(day + 20, 0.0)}. Every" in replace(first, due=due).explain()
+    goal = GoalDeadline("level", day + 20, 1.1)
+    assert (
+        f"level reaches its tolerance by {found.when(day + 20, 0.0)}. Every" in replace(first, deadline=goal).explain()
+    )
     assert late.to_dict()["kept_from"]["time"] == 2 * day
     assert dict(replace(found, judged_until=9 * day)._rows())["not judged"].startswith("closed days from ")
 
@@ -140,7 +144,7 @@ def test_a_closed_day_that_no_sample_makes_good_is_told_before_it_comes():
     assert found.exceeded is None
     assert found.latest == 57.0  # the plan's own: nothing more is asked for where it would not help
     assert found.kept_from == 8 * 24 + 9.0
-    assert 180 <= found.due.time <= 188  # 75 h after Friday's sample at nine, or one more at four
+    assert 180 <= found.deadline.time <= 188  # 75 h after Friday's sample at nine, or one more at four
     assert "No single sample keeps every tolerance from now on: with one at Wed" in found.explain()
     far = sd.next_sample(drifting(1.35, ["2026-09-09"]), now=9.0)
     assert far.date(far.judged_until).date().isoformat() == "2026-09-09"
@@ -172,8 +176,10 @@ def test_a_week_without_samples_breaks_the_tolerance(week):
 
 
 def test_a_limit_that_the_plan_does_not_count_with_says_nothing(week):
-    due = float(planned(week, 0.5, week.schedule.period)[0][0])
-    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (np.nan, BelowDetection(1.0)))
+    planned_at = float(planned(week, 0.5, week.schedule.period)[0][0])
+    one, other = (
+        sd.next_sample(week, [(planned_at, [y, 2.0], None)], prove=False) for y in (np.nan, BelowDetection(1.0))
+    )
     assert one.to_dict() == other.to_dict()
 
 
@@ -226,4 +232,4 @@ def test_a_plan_that_hides_a_mode_for_ever_bounds_no_change():
         plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, grid=2.0, w_bound=[0.1, 0.0], sensors=terms), **BARE
     )
     with pytest.raises(NotDetectableError, match="what a change of its samples does is not bounded"):
-        plan_chain(found)
+        plan_system(found)

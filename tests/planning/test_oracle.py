@@ -7,7 +7,7 @@ import sampling_design as sd
 from sampling_design.planning import discrete_plant as room
 from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle, GridSpan
 from sampling_design.planning.adversary_program import GridWindow
-from sampling_design.planning.discrete_plant import motion_of
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of
 from sampling_design.planning.search import PlanSearch
@@ -27,14 +27,14 @@ def posed(plant, period, grid, at, w_bound=0.02):
 
 def test_the_worst_time_of_a_gap_is_found_between_its_quarters():
     problem, chosen = posed(BODY, 6.4, 0.2, [0, 26])
-    oracle = AccuracyOracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, discretize(problem))
     oracle.back = 128
     window = oracle._window(chosen, GridSpan(0, 0, 26), 128)
-    found = max(oracle.looked(window, 0, 0, 26).values())
+    found = max(oracle.ratios_at(window, 0, 0, 26).values())
     every = [oracle.reach(window, offset, 0) for offset in range(27)]
     assert found == max(every)
     assert max(every[round(26 * i / QUARTERS)] for i in range(QUARTERS + 1)) < 0.99 * found
-    few = oracle.looked(window, 0, 0, 26, above=3 * found)  # far below what is asked
+    few = oracle.ratios_at(window, 0, 0, 26, above=3 * found)  # far below what is asked
     assert len(few) == QUARTERS + 1
 
 
@@ -42,22 +42,22 @@ def test_a_disturbance_turns_with_the_plant_in_long_gaps(monkeypatch):
     problem, chosen = posed(BODY, 40.0, 0.5, [0, 34])
     proof = accuracy_of(problem, chosen)
     proven = float(proof.upper[0]) / 0.5
-    judged = AccuracyOracle(problem, motion_of(problem)).judge(chosen)[0]
+    judged = AccuracyOracle(problem, discretize(problem)).judge(chosen)[0]
     assert 0.97 * proven <= judged <= proven
     monkeypatch.setattr(room, "TURN", np.inf)
-    assert AccuracyOracle(problem, motion_of(problem)).judge(chosen)[0] < 0.9 * proven
+    assert AccuracyOracle(problem, discretize(problem)).judge(chosen)[0] < 0.9 * proven
 
 
 def test_a_window_of_many_cells_is_put_together_without_writing_out_what_is_empty():
-    motion = motion_of(posed(BODY, 6.4, 0.1, [0])[0])
+    discrete = discretize(posed(BODY, 6.4, 0.1, [0])[0])
     knots = np.arange(0, 12_000, 4)
-    window = GridWindow(motion, knots, np.zeros((knots.size, 1), dtype=bool), np.ones((knots.size, 1)))
+    window = GridWindow(discrete, knots, np.zeros((knots.size, 1), dtype=bool), np.ones((knots.size, 1)))
     assert window.entries < 60 * knots.size
 
 
 def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
     problem, chosen = posed(DRIFT, 8.0, 0.5, [0, 3], 0.002)
-    oracle = AccuracyOracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, discretize(problem))
     oracle.back = begun = 4  # enough for samples at every step, of which most are left out
     worst = oracle.judge(chosen)[0]
     search = PlanSearch(problem, oracle)
@@ -77,7 +77,7 @@ def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
 def test_a_short_past_refutes_and_what_held_is_not_judged_twice(monkeypatch):
     monkeypatch.setattr("sampling_design.planning.adversary_program.MANY", 100)
     problem, chosen = posed(BODY, 6.4, 0.2, [0, 26], w_bound=[0.02, 0.02])
-    oracle = AccuracyOracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, discretize(problem))
     oracle.back = 32 * 16
     worst, attacks = oracle.judge(chosen)
     assert len(attacks) == 2
@@ -100,7 +100,7 @@ def test_a_short_past_refutes_and_what_held_is_not_judged_twice(monkeypatch):
 @pytest.mark.parametrize("plant", [BODY, DRIFT])
 def test_what_a_window_solved_bounds_other_rows_and_leaves_out_no_worst_time(plant):
     problem, chosen = posed(plant, 6.4, 0.2, [0, 26])
-    oracle = AccuracyOracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, discretize(problem))
     rows = np.random.default_rng(1).normal(size=(40, 2))
 
     def window():
@@ -115,10 +115,10 @@ def test_what_a_window_solved_bounds_other_rows_and_leaves_out_no_worst_time(pla
     assert bound[:3] == pytest.approx(reached, rel=1e-6)
     fresh = window()
     assert all(fresh.reach(row) <= most * (1 + 1e-6) for row, most in zip(rows, bound, strict=True))
-    full = oracle.looked(window(), 0, 0, 26)
+    full = oracle.ratios_at(window(), 0, 0, 26)
     worst = max(full.values())
     for share in (0.5, 0.9, 1.0):
-        again = oracle.looked(solved, 0, 0, 26, known=share * worst)
+        again = oracle.ratios_at(solved, 0, 0, 26, known=share * worst)
         assert max(again.values(), default=0.0) == pytest.approx(worst, rel=1e-5) or share == 1.0
         assert all(full[offset] == pytest.approx(value, rel=1e-5) for offset, value in again.items() if offset in full)
-    assert len(oracle.looked(solved, 0, 0, 26, known=worst * 1.01)) < len(full)
+    assert len(oracle.ratios_at(solved, 0, 0, 26, known=worst * 1.01)) < len(full)

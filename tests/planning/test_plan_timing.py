@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.planning import sequence, sequence_chain
+from sampling_design.planning import sequence, sequence_system
 from sampling_design.planning.disturbed import without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.figures import accuracy_of
@@ -103,11 +103,11 @@ def test_the_start_and_a_lost_sample_hold_at_all_real_times(plan):
 
 
 def test_noise_that_is_not_found_is_said(plan, monkeypatch):
-    monkeypatch.setattr(sequence_chain, "TURNS", 1)
+    monkeypatch.setattr(sequence_system, "TURNS", 1)
     with pytest.raises(
         UndecidedError, match=r"nothing bounds what samples up to 0\.1 s early or late do where they are"
     ):
-        sequence_chain.sequence_chain(plan, sequence_chain.plan_chain(plan), without(plan, 1, 1))
+        sequence_system.sequence_system(plan, sequence_system.plan_system(plan), without(plan, 1, 1))
     assert np.isinf(proven_ratio(plan, without(plan, 1, 1)))
 
 
@@ -116,7 +116,7 @@ def test_the_noise_of_a_sequence_is_counted_as_work(plan, monkeypatch):
     work.firm = True
     monkeypatch.setattr(plan.oracle, "work", work)
     with pytest.raises(BudgetSpentError, match="it does not fit into what is left"):
-        sequence_chain.sequence_chain(plan, sequence_chain.plan_chain(plan), without(plan, 1, 1))
+        sequence_system.sequence_system(plan, sequence_system.plan_system(plan), without(plan, 1, 1))
 
 
 @pytest.mark.long

@@ -94,8 +94,8 @@ def test_a_sample_is_not_said_to_come_after_the_next_one(late, week, monkeypatch
     monkeypatch.setattr(disturbed, "proven_ratio", lambda *_: 0.0)
     ones = np.ones(week.samples)
     found = disturbed.PlanRobustness("h", np.array(week.schedule.times), 0 * ones, ones, ones, 0, ones)
-    assert disturbed.bears(week, found)
-    assert not disturbed.bears(week, replace(found, late=late * ones))
+    assert disturbed.robustness_holds(week, found)
+    assert not disturbed.robustness_holds(week, replace(found, late=late * ones))
 
 
 def test_a_plan_that_breaks_its_tolerance_bears_nothing(week):

@@ -10,7 +10,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
 from sampling_design.planning import sequence_deviation
-from sampling_design.planning.discrete_plant import motion_of
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import read_plan
@@ -74,7 +74,7 @@ def test_the_filter_of_uneven_samples_is_that_of_the_plan():
     chosen = np.zeros_like(problem.allowed)
     chosen[[0, 1, 5], 0] = True
     plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
-    limits = sequence_deviation.SpreadSequence(plan).limits
+    limits = sequence_deviation.SequenceFilter(plan).limits
     row = plan.oracle.rows[0]
     times = plan.schedule.times
     anew = oracle.deviation(
@@ -82,7 +82,7 @@ def test_the_filter_of_uneven_samples_is_that_of_the_plan():
     )
     np.testing.assert_allclose([np.sqrt(row @ P @ row) for P in limits], anew, rtol=1e-6)
     own, seen = sequence_deviation.planned(plan, -6.4, 10 * 6.4)
-    _, wider = sequence_deviation.SpreadSequence(plan).worst(sequence_deviation.SampleSequence(own, seen, 3))
+    _, wider = sequence_deviation.SequenceFilter(plan).worst(sequence_deviation.SampleSequence(own, seen, 3))
     assert wider == pytest.approx(1.0, abs=1e-6)
 
 
@@ -113,7 +113,7 @@ def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
     problem = pose_plan(
         OSCILLATOR, sd.PlanRequirement({"position": goal(1.0), "velocity": goal(1.0)}, sensors=TERMS, **GIVEN)
     )
-    spread = GridFilter(problem, motion_of(problem))
+    spread = GridFilter(problem, discretize(problem))
     rng = np.random.default_rng(5)
     for g in (0, 1):
         z = rng.uniform(size=problem.allowed.shape) * (rng.uniform(size=problem.allowed.shape) < 0.5)
@@ -178,7 +178,17 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
         ({"knots": [0]}, "must be a trajectory .* or a tangent"),
         ({"goal": 7}, "must be a trajectory .* of a goal"),
     ):
-        path.write_text(json.dumps({**tree, "attacks": [{**tree["attacks"][0], **change}, *tree["attacks"][1:]]}))
+        path.write_text(
+            json.dumps(
+                {
+                    **tree,
+                    "trajectories": [
+                        {**tree["trajectories"][0], **change},
+                        *tree["trajectories"][1:],
+                    ],
+                }
+            )
+        )
         with pytest.raises(FileFormatError, match=words):
             read_plan(path)
     raised = tuple(replace(a, reach=a.reach * 1.01) for a in found.bound.trajectories)

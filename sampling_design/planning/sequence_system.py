@@ -1,4 +1,4 @@
-"""A sequence of samples as a chain in the coordinates of the plan's own: what is the plan's in it is not made again."""
+"""A sequence of samples as a sampled system in the plan's coordinates: what is the plan's in it is not made again."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import numpy as np
 from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, covariance_root, finite_atoms, start_covariance
+from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, covariance_root, finite_directions, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out
-from sampling_design.accuracy.sample_chain import (
-    ChainGap,
-    ChainSample,
-    SampleChain,
+from sampling_design.accuracy.sampled_system import (
+    GapDynamics,
+    MeasurementModel,
+    SampledSystem,
     make_gap,
     noise_units,
     refuse_growth,
 )
-from sampling_design.accuracy.search import ChainSearch, combined_gains
+from sampling_design.accuracy.search import GainSearch, combined_gains
 from sampling_design.accuracy.start import StartSet
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
@@ -32,7 +32,7 @@ from sampling_design.numerics.filtering import information_update, propagate, up
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, phase_of
-from sampling_design.planning.work_prices import CHAIN, GAINS
+from sampling_design.planning.work_prices import GAINS, SYSTEM
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.units import spoken
@@ -57,7 +57,7 @@ LEAST = 1e-12  # half-width of what is known exactly at the start, as a share of
 
 
 @lru_cache(maxsize=4)
-def plan_bounds(plan: PlanFigures) -> tuple[SampleChain, Sequence[BoundedDirections]]:
+def plan_bounds(plan: PlanFigures) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
     """The plan's samples with the filter whose gains bound the error once and for all, and what it bounds.
 
     Raises NotDetectableError if the plan leaves a part of the state unknown for ever: then nothing bounds what a change
@@ -73,38 +73,38 @@ def plan_bounds(plan: PlanFigures) -> tuple[SampleChain, Sequence[BoundedDirecti
     return question.filter_bounds(plan.plant)
 
 
-def plan_chain(plan: PlanFigures) -> SampleChain:
+def plan_system(plan: PlanFigures) -> SampledSystem:
     """The same samples. Raises NotDetectableError as `plan_bounds` does."""
     return plan_bounds(plan)[0]
 
 
-def sequence_chain(
+def sequence_system(
     plan: PlanFigures,
-    own: SampleChain,
+    own: SampledSystem,
     sequence: SampleSequence,
     settles: int = 1,
     *,
     limited: bool = True,
     until: float = -np.inf,
-) -> tuple[SampleChain, Sequence[BoundedDirections]]:
-    """The chain of a sequence (up to its last sample, or `until` a time) and what its filter bounds.
+) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
+    """The system of a sequence (up to its last sample, or `until` a time) and what its filter bounds.
 
-    `own` is the plan's chain. Results count once they are in.
+    `own` is the plan's system. Results count once they are in.
 
-    Raises UndecidedError as for `_chain_of_samples`.
+    Raises UndecidedError as for `_system_with_noise`.
     """
-    chain, atoms = _chain_of_samples(plan, own, sequence, settles, limited=limited)
+    system, directions = _system_with_noise(plan, own, sequence, settles, limited=limited)
     if sequence.result_delay is None and not sequence.late:
-        return chain, atoms
+        return system, directions
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=True)
-    chain = with_results_out(replace(chain, last=max(0.0, until - float(sequence.centres[-1]))), comes)
-    return chain, with_branches(chain, atoms)
+    system = with_results_out(replace(system, last=max(0.0, until - float(sequence.centres[-1]))), comes)
+    return system, with_branches(system, directions)
 
 
-def _chain_of_samples(
-    plan: PlanFigures, own: SampleChain, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
-) -> tuple[SampleChain, list[BoundedDirections]]:
-    """The chain of a sequence and what its filter bounds, all results in at once; `own` is the plan's chain.
+def _system_with_noise(
+    plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
+) -> tuple[SampledSystem, list[BoundedDirections]]:
+    """The system of a sequence and what its filter bounds, all results in at once; `own` is the plan's system.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
     change the plan's filter bounds the error, whatever it once was; where the sequence is the plan's start, what is
@@ -123,11 +123,11 @@ def _chain_of_samples(
     work, n = plan.oracle.work, plan.plant.n_states
     for _ in range(TURNS):
         part = sequence.until(upto)
-        chain, atoms = _noisier_chain(plan, own, part, starting, noise, limited=limited)
+        system, directions = _noisier_system(plan, own, part, starting, noise, limited=limited)
         if not sequence.late:
-            return chain, atoms
-        work.add(CHAIN, upto * n**2)
-        times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms, lambda: work.add(GAINS, FEWEST * n)))
+            return system, directions
+        work.add(SYSTEM, upto * n**2)
+        times = TimesOfSamples(plan, own, part, GainSearch(system, directions, lambda: work.add(GAINS, FEWEST * n)))
         found[:upto] = times.added(noise[:upto], usual[:upto], found[:upto], since)
         if not np.isfinite(found).all():
             break
@@ -135,7 +135,7 @@ def _chain_of_samples(
         enough, tail = np.all(found[:upto] <= noise[:upto]), slice(max(0, upto - settles), upto)
         if enough and np.all(noise[tail] <= tighter[tail] * MORE):
             if upto == count:
-                return chain, atoms
+                return system, directions
             since, upto = upto, min(count, sequence.first + FARTHER * (upto - sequence.first))
             continue
         tighter = tighter if enough else np.maximum(tighter, _fading(tighter[:upto], len(tighter)))
@@ -156,10 +156,10 @@ def _fading(noise: Array, count: int) -> Array:
     return found
 
 
-def _usual_noise(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) -> Array:
+def _usual_noise(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence) -> Array:
     """What stands for the times of the plan's samples (K, p), and a first guess for those that it does not have."""
     own_noise = None if plan.accuracy is None else plan.accuracy.noise
-    noise = np.zeros(sequence.seen.shape)
+    noise = np.zeros(sequence.measured.shape)
     if own_noise is None:
         return noise
     for k in range(len(noise)):
@@ -172,9 +172,9 @@ def _usual_noise(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) 
 class TimesOfSamples:
     """What the times of a sequence's samples add at most to what they read: C (x(t + e) - x(t)), and w in between."""
 
-    def __init__(self, plan: PlanFigures, own: SampleChain, sequence: SampleSequence, search: ChainSearch):
+    def __init__(self, plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, search: GainSearch):
         self.plan, self.own, self.sequence, self.search = plan, own, sequence, search
-        search.back = max(FEWEST, int(plan_chain(plan).forgetting.max(initial=0)))
+        search.back = max(FEWEST, int(plan_system(plan).forgetting.max(initial=0)))
         self.phases = [_planned(plan, own, sequence, k) for k in range(len(sequence.times))]
         self.known = [self._known(k) for k in range(len(self.phases))]
         self.tables: dict[tuple[int, float, bool], KnownIntegrals] = {}
@@ -189,7 +189,7 @@ class TimesOfSamples:
             found[k] = 0.0
             if not self.aside[k].any() or self._settled(k, plain):
                 continue
-            for i in self.search.chain.samples[k].outputs.tolist():
+            for i in self.search.system.samples[k].outputs.tolist():
                 found[k, i] = self._sample(k, i, float(usual[k, i]))
         return found
 
@@ -198,8 +198,8 @@ class TimesOfSamples:
         phase = self.phases[k]
         if phase is None:
             return np.inf
-        change = np.linalg.solve(self.own.L[phase], self.search.chain.L[k])
-        return float(np.max(self.search.atoms[k].bound(change) / self.own.reach[phase]))
+        change = np.linalg.solve(self.own.L[phase], self.search.system.L[k])
+        return float(np.max(self.search.directions[k].bound(change) / self.own.reach[phase]))
 
     def _settled(self, k: int, plain: Mask) -> bool:
         """Whether the plan's own proof that its noise is enough holds for a sample."""
@@ -222,8 +222,8 @@ class TimesOfSamples:
             if not late:
                 continue
             table = self.tables.setdefault((i, late, bool(back)), {})
-            opened = moved_row(self.search.chain, k, row, late, bool(back), table)
-            known = BoundedDirections(self.search.atoms[k].basis, self.search.atoms[k].reach)
+            opened = moved_row(self.search.system, k, row, late, bool(back), table)
+            known = BoundedDirections(self.search.directions[k].basis, self.search.directions[k].reach)
             value, mu = float(opened.bound(known)[1].max()), opened.mu[-1]
             gains = self._plan_gains(k, i, bool(back)) if value > enough and known.whole else ()
             if gains:
@@ -245,13 +245,13 @@ class TimesOfSamples:
             at, expected = k - steps, (phase - steps) % len(self.own)
             if at < 0 or self.phases[at] != expected:
                 break
-            fitting.append(lam * self.search.chain.samples[at].size / self.own.samples[expected].size)
+            fitting.append(lam * self.search.system.samples[at].size / self.own.samples[expected].size)
         return tuple(reversed(fitting))
 
 
 @lru_cache(maxsize=4)
-def proof_chain(plan: PlanFigures) -> SampleChain:
-    """The chain of a plan's proof: the shortest period that its samples have."""
+def proof_system(plan: PlanFigures) -> SampledSystem:
+    """The system of a plan's proof: the shortest period that its samples have."""
     assert plan.accuracy is not None
     question = plan.accuracy.question.noisier(plan.accuracy.noise).primitive()
     return question.filter_bounds(plan.plant)[0]
@@ -266,28 +266,28 @@ def _proof_part(plan: PlanFigures, phase: int) -> GapProof | None:
 @lru_cache(maxsize=512)
 def proof_back(plan: PlanFigures, phase: int) -> int:
     """Samples that the gains of a plan's proof after one of them look back."""
-    part = _proof_part(plan, phase % len(proof_chain(plan)))
+    part = _proof_part(plan, phase % len(proof_system(plan)))
     return 0 if part is None else max(map(len, part.gains))
 
 
 @lru_cache(maxsize=512)
 def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Array, ...]:
     """The gains by which a plan's proof bounds what the time of a sample adds to an output, the latest last."""
-    own, late = proof_chain(plan), plan.problem.timing_tolerance
+    own, late = proof_system(plan), plan.problem.timing_tolerance
     side = float(np.broadcast_to(late.back if back else late.forward, plan.plant.n_outputs)[i])
     phase %= len(own)
     part = _proof_part(plan, phase)
     if part is None:
         return ()
-    atoms = BoundedDirections.of(own.reach[phase], part.directions, part.gains, [0.0] * len(part.gains))
+    directions = BoundedDirections.of(own.reach[phase], part.directions, part.gains, [0.0] * len(part.gains))
     mu = moved_row(own, phase, plan.plant.C[i], side, back, {}).mu[-1]
-    return combined_gains(own, phase, mu, atoms)
+    return combined_gains(own, phase, mu, directions)
 
 
-def _noisier_chain(
-    plan: PlanFigures, own: SampleChain, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
-) -> tuple[SampleChain, list[BoundedDirections]]:
-    """The chain of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
+def _noisier_system(
+    plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
+) -> tuple[SampledSystem, list[BoundedDirections]]:
+    """The system of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
     in coordinates of their own."""
     times, gaps = sequence.centres, np.diff(sequence.centres)
     refuse_growth(plan.plant, gaps)
@@ -297,14 +297,14 @@ def _noisier_chain(
     F, W = discounted_flow(own.A, own.G @ own.G.T, gaps[fresh]) if fresh else (np.zeros((0, 0, 0)),) * 2
     flows = {k: (F[i], W[i] * float(np.mean(gaps))) for i, k in enumerate(fresh)}
     L: list[Array] = []
-    samples: list[ChainSample] = []
+    samples: list[MeasurementModel] = []
     for k, phase in enumerate(phases):
         if phase is None:
             free = UNKNOWN**2 if sequence.late else DIFFUSE  # above the noise that samples have at such a start
             P = start_covariance(plan.problem.initial, own.D, free) if k == 0 else np.zeros(0)
             if k:
                 P = propagate(L[-1] @ L[-1].T, *flows[k - 1])
-            root, sample = _fresh(plan, own, P, sequence.seen[k], noise[k])
+            root, sample = _fresh(plan, own, P, sequence.measured[k], noise[k])
             if sequence.begins and sequence.late and k < starting and _is_close(plan, own, sequence, k, root):
                 phases[k + 1 :] = [_planned(plan, own, sequence, i) for i in range(k + 1, len(times))]
         else:
@@ -314,7 +314,7 @@ def _noisier_chain(
     same = _same_gaps(plan, own, phases, gaps)
     own = replace(own, L=own.L[: len(own)], samples=own.samples[: len(own)], again=(), before=(), known_spans=())
     table = GapTable(own.A, own.G, np.ones(len(own.A)))
-    made: list[ChainGap] = []
+    made: list[GapDynamics] = []
     for k, h in enumerate(gaps.tolist()):
         phase = phases[k]
         if same[k] and phase is not None:
@@ -328,16 +328,18 @@ def _noisier_chain(
         initial = plan.problem.initial
         start = initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR)
         start = _limited(start, np.linalg.solve(L[0], own.L[0]), own) if limited else start
-        chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
-        chain = replace(chain, known=initial.exact)
-        return chain, finite_atoms(chain)
-    before = [sequence.wider * own.reach[phase_of(plan.schedule, float(t))] for t in sequence.shown[: sequence.first]]
+        system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
+        system = replace(system, known=initial.exact)
+        return system, finite_directions(system)
+    before = [
+        sequence.wider * own.reach[phase_of(plan.schedule, float(t))] for t in sequence.clock_times[: sequence.first]
+    ]
     start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
-    chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
-    return chain, finite_atoms(chain, before)
+    system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
+    return system, finite_directions(system, before)
 
 
-def _same_gaps(plan: PlanFigures, own: SampleChain, phases: list[int | None], gaps: Array) -> list[bool]:
+def _same_gaps(plan: PlanFigures, own: SampledSystem, phases: list[int | None], gaps: Array) -> list[bool]:
     """Which gaps are the plan's, between its samples."""
     return [
         i is not None
@@ -347,13 +349,13 @@ def _same_gaps(plan: PlanFigures, own: SampleChain, phases: list[int | None], ga
     ]
 
 
-def _is_close(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: int, root: Array) -> bool:
+def _is_close(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, k: int, root: Array) -> bool:
     """Whether a filter's covariance after a sample is so near the plan's that the plan's coordinates serve as well."""
     phase = _planned(plan, own, sequence, k)
     return phase is not None and float(np.linalg.norm(np.linalg.solve(own.L[phase], root), 2)) ** 2 <= CLOSE
 
 
-def _limited(start: StartSet, change: Array, own: SampleChain) -> StartSet:
+def _limited(start: StartSet, change: Array, own: SampledSystem) -> StartSet:
     """A start, limited where nothing is known; `change` leads from the plan's coordinates to those of the start."""
     free = start.free(own.D.size)
     if not free.shape[1]:
@@ -365,17 +367,17 @@ def _limited(start: StartSet, change: Array, own: SampleChain) -> StartSet:
     return StartSet(np.vstack([start.S, far]) / (np.sqrt(2.0) if start.ball else 1.0), start.ball)
 
 
-def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: int) -> int | None:
+def _planned(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, k: int) -> int | None:
     """Which sample of the plan a sequence's sample is; None if it is another one."""
-    schedule, t = plan.schedule, float(sequence.shown[k])
+    schedule, t = plan.schedule, float(sequence.clock_times[k])
     phase = phase_of(schedule, t)
     off = (t - float(schedule.times[phase])) / schedule.period
-    sensors = np.flatnonzero(sequence.seen[k] & np.isfinite(plan.problem.v_bound))
+    sensors = np.flatnonzero(sequence.measured[k] & np.isfinite(plan.problem.v_bound))
     same = abs(off - round(off)) <= GRAIN and np.array_equal(sensors, own.samples[phase].outputs)
     return phase if same else None
 
 
-def _noisier(sample: ChainSample, v_bound: Array, noise: Array) -> ChainSample:
+def _noisier(sample: MeasurementModel, v_bound: Array, noise: Array) -> MeasurementModel:
     """A sample of the plan with so much more noise (p,): itself where that is the plan's."""
     size = (v_bound + noise)[sample.outputs]
     if np.array_equal(size, sample.size):
@@ -384,11 +386,13 @@ def _noisier(sample: ChainSample, v_bound: Array, noise: Array) -> ChainSample:
     return replace(sample, size=size, H=sample.H * share[:, None], K=sample.K / share)
 
 
-def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: Mask, noise: Array) -> tuple[Array, ChainSample]:
+def _fresh(
+    plan: PlanFigures, own: SampledSystem, P: Array, measured: Mask, noise: Array
+) -> tuple[Array, MeasurementModel]:
     """Coordinates after a sample that the plan does not have, and the sample; P is the covariance before it."""
-    v = np.where(seen & np.isfinite(plan.problem.v_bound), plan.problem.v_bound + noise, np.inf)
+    v = np.where(measured & np.isfinite(plan.problem.v_bound), plan.problem.v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
     root = covariance_root(information_update(P, H.T @ H))
     K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
-    return root, ChainSample(bounds.measured(0), size, H @ root, exact, K)
+    return root, MeasurementModel(bounds.measured(0), size, H @ root, exact, K)

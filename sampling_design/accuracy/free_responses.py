@@ -1,4 +1,4 @@
-"""Motions that need no disturbance and are bounded for all times before: they may have gone on for ever, within noise.
+"""Free responses that are bounded for all times before: they may have gone on for ever, within noise.
 
 x(t - s) = sum_m X_m c_m e^{-mu_m s},   Re mu_m >= 0:   |C_i x(t - s)| <= sum_m |C_i X_m| |c_m|  for all s >= 0
 """
@@ -19,11 +19,11 @@ LASTS = 1e-12
 """Share of |A| below which a mode does not decay, and within which a direction is an eigenvector: rounding alone."""
 
 AMONG = 1e-9
-"""A state is one of these motions if what is left of it, balanced, is below this share of it: rounding alone."""
+"""A state is that of a free response if what is left of it, balanced, is below this share of it: rounding alone."""
 
 
 @dataclass(frozen=True, eq=False)
-class UndrivenMotions:
+class FreeResponses:
     """All that eigenvectors of modes that do not decay span."""
 
     scale: Array  # (n,): of the states; balances A
@@ -33,7 +33,7 @@ class UndrivenMotions:
     ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
 
     @classmethod
-    def of(cls, plant: Plant, bounds: SignalBounds) -> UndrivenMotions:
+    def of(cls, plant: Plant, bounds: SignalBounds) -> FreeResponses:
         """Return those of a plant."""
         scale = balanced_schur(plant.A).d
         A, n = plant.A * scale / scale[:, None], plant.n_states
@@ -55,30 +55,30 @@ class UndrivenMotions:
         return np.asarray(np.linalg.lstsq(self.modes, (x / self.scale).astype(complex))[0])
 
     def nearest(self, x: Array) -> Array:
-        """The state of such a motion that is nearest to x."""
+        """The state of a free response that is nearest to x."""
         return np.asarray(self.scale * (self.modes @ self._shares(x)).real)
 
     def strongest(self, row: Array) -> Array:
-        """The state of such a motion, within the noise at all times before, with about the largest row'x."""
+        """The state of a free response, within the noise at all times before, with about the largest row'x."""
         from scipy.optimize import linprog
 
         reached = (row * self.scale) @ self.modes
         finite = np.isfinite(self.output_sizes).all(axis=0)
         sizes, output_sizes = np.abs(reached) * finite, np.where(finite, self.output_sizes, 0.0)
-        seen = output_sizes.max(axis=0, initial=0.0)
-        unit = np.where(seen > 0, seen, 1.0)
-        if not np.any(sizes * seen):
+        output_size = output_sizes.max(axis=0, initial=0.0)
+        unit = np.where(output_size > 0, output_size, 1.0)
+        if not np.any(sizes * output_size):
             return np.zeros(row.size)
         found = linprog(
             -sizes / unit,
             A_ub=output_sizes / unit,
             b_ub=np.ones(len(output_sizes)),
-            bounds=[(0.0, float(s > 0)) for s in seen],
+            bounds=[(0.0, float(s > 0)) for s in output_size],
         )
         return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
 
     def excess(self, x: Array) -> float:
-        """By which factor outputs of the motion through x may exceed the noise at any time before; infinite if none."""
+        """By which factor outputs of the one through x may exceed the noise at any time before; infinite if none is."""
         shares = self._shares(x)
         z = x / self.scale
         if np.linalg.norm(z - self.modes @ shares) > AMONG * np.linalg.norm(z):

@@ -1,4 +1,4 @@
-"""Which goal is due, and when: against levels that drift by themselves, whose accuracy is a line in time."""
+"""The deadline of a goal: against levels that drift by themselves, whose accuracy is a line in time."""
 
 import json
 
@@ -62,7 +62,7 @@ def test_the_goal_that_is_due_and_its_time_are_those_of_the_lines(plan, answers,
     found = answers[now]
     assert set(found.alone) == set(SENSOR.values())
     before = samples(plan, -24.0, now + 1e-9)
-    for name, due in {None: found.due, **found.alone_due}.items():
+    for name, deadline in {None: found.deadline, **found.alone_deadlines}.items():
         last = found.latest if name is None else found.alone[name]
         names = found.outputs if name is None else (name,)
         t = (round(last / STEP) + 1) * STEP if np.isfinite(last) else (np.floor(now / STEP) + 1) * STEP
@@ -71,20 +71,20 @@ def test_the_goal_that_is_due_and_its_time_are_those_of_the_lines(plan, answers,
             seen = min(samples(plan, t - 1e-9, t + 12.0), key=lambda pair: pair[0])[1]
         reached = lines(plan, [*before, (t, seen), *samples(plan, t + 1e-9, t + 40.0)], t + 18.0)
         first = min(reached.values())
-        assert due.breaks
-        assert due.time == pytest.approx(first, abs=1e-9)
-        assert reached[due.goal] == pytest.approx(first, abs=1e-9)
+        assert deadline.breaks
+        assert deadline.time == pytest.approx(first, abs=1e-9)
+        assert reached[deadline.goal] == pytest.approx(first, abs=1e-9)
 
 
 def test_it_is_said_in_words_in_the_table_and_in_json(answers):
     found = answers[5.2]
-    text = f"{found.due.goal} reaches its tolerance by {found.due.time:g} h"
+    text = f"{found.deadline.goal} reaches its tolerance by {found.deadline.time:g} h"
     assert found.explain().endswith(f"At the next allowed time after that {text}.")
     assert dict(found._rows())["later"] == text
     plain = json.loads(json.dumps(found.to_dict()))
-    assert plain["due"]["goal"] == found.due.goal
-    assert plain["due"]["when"] == {"time": found.due.time, "date": None}
-    assert set(plain["alone_due"]) == set(plain["alone"])
+    assert plain["deadline"]["goal"] == found.deadline.goal
+    assert plain["deadline"]["when"] == {"time": found.deadline.time, "date": None}
+    assert set(plain["alone_deadlines"]) == set(plain["alone"])
 
 
 def test_a_sample_that_may_come_at_any_time_has_nothing_due():
@@ -92,7 +92,7 @@ def test_a_sample_that_may_come_at_any_time_has_nothing_due():
     sensors = {"y": {"noise_bound": 0.1}}
     asked = sd.PlanRequirement({"x": 1.0}, period=4.0, grid=1.0, w_bound=0.1, sensors=sensors)
     found = sd.next_sample(sd.plan_samples(still, asked, search_seconds=1, **BARE))
-    assert found.due is None
-    assert found.alone_due == {}
-    assert found.to_dict()["due"] is None
+    assert found.deadline is None
+    assert found.alone_deadlines == {}
+    assert found.to_dict()["deadline"] is None
     assert found.explain().endswith("(y).")

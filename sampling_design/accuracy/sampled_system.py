@@ -1,4 +1,4 @@
-"""A schedule as a chain of samples in coordinates in which every program is well scaled, whatever the units.
+"""A schedule as a sampled system in coordinates in which every program is well scaled, whatever the units.
 
     x(t_j) = D L_j z_j,   z_{j+1} = F_j z_j + int (e^{A_z s} G_z) w ds,   |H_j z_j| <= 1
 
@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.free_responses import FreeResponses
 from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
 from sampling_design.accuracy.start import StartSet
-from sampling_design.accuracy.undriven import UndrivenMotions
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import (
     CovarianceMap,
@@ -88,7 +88,7 @@ class GapPanels:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainGap:
+class GapDynamics:
     """From one sample to the next, in the coordinates of both."""
 
     length: float
@@ -101,7 +101,7 @@ class ChainGap:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainSample:
+class MeasurementModel:
     """One sample: rows in units of the noise bound, which of them are exact, and the filter's gain."""
 
     outputs: Index
@@ -115,13 +115,13 @@ class KnownSpan(NamedTuple):
     """A time during which no result comes in: all that is known then was in when it began."""
 
     node: int  # of the latest sample of which anything is in
-    time: float  # of that sample, since the first one of the chain
+    time: float  # of that sample, since the first one of the system
     begin: float  # begin, end: since that sample
     end: float
 
 
 @dataclass(frozen=True, eq=False)
-class SampleChain:
+class SampledSystem:
     """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first.
 
     Nodes N, N+1, ... are samples again, of which some results are out: each follows another node.
@@ -133,12 +133,12 @@ class SampleChain:
     L: Array
     A: Array
     G: Array
-    samples: tuple[ChainSample, ...]
-    gaps: tuple[ChainGap, ...]
-    start: StartSet | None = None  # of z_0 in a finite chain
-    last: float = 0.0  # how long a finite chain goes on after its last sample
+    samples: tuple[MeasurementModel, ...]
+    gaps: tuple[GapDynamics, ...]
+    start: StartSet | None = None  # of z_0 in a finite system
+    last: float = 0.0  # how long a finite system goes on after its last sample
     known: Mask | None = None  # (n,): entries of x that are exactly their centre at the start
-    # how many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
+    # how many of the last entries of every z no sample of an endless system shows: they move on by themselves, and the
     # others are free of them
     hidden: int = 0
     # in order of time, what is known when; none: a sample counts from its own time until the next one
@@ -146,7 +146,7 @@ class SampleChain:
     # of the nodes beyond the samples: which sample each one is, and the node before it (-1: none)
     again: tuple[int, ...] = ()
     before: tuple[int, ...] = ()
-    # how fast the panels of a gap take A to be, if not |A|, so that chains in other coordinates have the same panels
+    # how fast the panels of a gap take A to be, if not |A|, so that systems in other coordinates have the same panels
     speed: float | None = None
 
     @property
@@ -175,7 +175,7 @@ class SampleChain:
         """Which of the samples node j is."""
         return j if j < len(self) else self.again[j - len(self)]
 
-    def gap(self, j: int) -> ChainGap:
+    def gap(self, j: int) -> GapDynamics:
         """The gap behind node j."""
         return self.gaps[self.sample_of(j)]
 
@@ -186,9 +186,9 @@ class SampleChain:
         return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
 
     @cached_property
-    def undriven(self) -> UndrivenMotions | None:
-        """Motions of an endless chain that may have gone on for ever; None where something is unknown for ever."""
-        return UndrivenMotions.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
+    def free_responses(self) -> FreeResponses | None:
+        """Those of an endless system that may have gone on for ever; None where something is unknown for ever."""
+        return FreeResponses.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
 
     def mu(self, j: int, rows: Array) -> Array:
         """Return rows (k, n) of x at node j as columns (n, k) that multiply z."""
@@ -214,8 +214,8 @@ class SampleChain:
         every = self.nodes(j, length)
         return every[max(len(every) - length, 0) :]
 
-    def refined(self, loss: float) -> SampleChain:
-        """Return the chain with cells so fine that their curvature loses no more than `loss`."""
+    def refined(self, loss: float) -> SampledSystem:
+        """Return the system with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
         cut = zip(self.gaps, fresh, strict=True)
@@ -270,7 +270,7 @@ class SampleChain:
         count, r, found = len(self), self.determined, []
         for j in range(count):
             mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
-            flown: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
+            propagated: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
             for steps in range(PERIODS * count):
                 sample = self.samples[at]
                 gains = sample.K.T @ mu
@@ -280,13 +280,13 @@ class SampleChain:
                 if left > GROWN:
                     raise too_far()
                 if steps and left < CONTRACTED:
-                    for gap, columns in flown.items():
+                    for gap, columns in propagated.items():
                         every = self.gaps[gap].panels.integral(np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break
                 at = (at - 1) % count
-                flown.setdefault(at, []).append(mu)
+                propagated.setdefault(at, []).append(mu)
                 mu = self.gaps[at].F.T @ mu
             else:
                 raise UndecidedError(
@@ -319,8 +319,8 @@ def noise_cost(gains: Array, exact: Mask, ball: bool) -> Array:
     return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
 
 
-def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array | None = None) -> SampleChain:
-    """Return the chain of a periodic schedule; gaps[j] lies behind sample j.
+def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array | None = None) -> SampledSystem:
+    """Return the system of a periodic schedule; gaps[j] lies behind sample j.
 
     `moving` (n, m) is what no sample shows, as it is at the first one; nobody knows it.
     """
@@ -341,23 +341,23 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
     # what samples determine moves by itself, whatever the rest does
     N = [basis[:, :r] for basis in bases]
     inner = np.array([N[(j + 1) % count].T @ F[j] @ N[j] for j in range(count)])
-    spread = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
-    P, roots = _covariances(inner, spread, [H @ X for H, X in zip(rows, N, strict=True)])
+    driven = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
+    P, roots = _covariances(inner, driven, [H @ X for H, X in zip(rows, N, strict=True)])
     L, samples = np.zeros_like(F), []
     for j, H in enumerate(rows):
-        seen = H @ N[j]
+        output = H @ N[j]
         root = roots[j]
         L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
-        K = np.vstack([np.linalg.solve(root, update_with_gain(P[j], seen)[1]), np.zeros((len(A) - r, len(H)))])
-        shown = H @ L[j]
-        shown[:, r:] = 0.0
-        samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
+        K = np.vstack([np.linalg.solve(root, update_with_gain(P[j], output)[1]), np.zeros((len(A) - r, len(H)))])
+        scaled_rows = H @ L[j]
+        scaled_rows[:, r:] = 0.0
+        samples.append(MeasurementModel(bounds.measured(j), sizes[j], scaled_rows, exact[j], K))
     steps, table = [], GapTable(A, G, np.ones(len(A)))
     for j, h in enumerate(gaps):
         gap = make_gap(table, float(h), L[j], L[(j + 1) % len(rows)], F[j])
         gap.F[:r, r:] = 0.0
         steps.append(gap)
-    return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
+    return SampledSystem(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
 
 
 def _rows_between(A: Array, gaps: Array, rows: list[Array]) -> list[Array]:
@@ -425,11 +425,11 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
         _, root, _ = rooted(root)
     rooted = rooted.walking(np.sqrt(RANDOM_WALK) * root)
     after = rooted.settled(root)
-    flown = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
-    return [X @ X.T for X in [flown[-1], *flown[:-1]]], after
+    propagated = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
+    return [X @ X.T for X in [propagated[-1], *propagated[:-1]]], after
 
 
-def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> ChainGap:
+def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> GapDynamics:
     """Return one gap from coordinates L to those of `following`; `table` keeps what gaps of one length share.
 
     Raises UndecidedError if what is between its panels has no bound in doubles.
@@ -437,12 +437,12 @@ def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, lo
     flow = table.cut(h, PANEL)
     if not np.isfinite(flow.third).all():
         raise too_far()
-    M = np.swapaxes(np.linalg.solve(following, flow.flown), 1, 2)
+    M = np.swapaxes(np.linalg.solve(following, flow.propagated), 1, 2)
     bend = np.swapaxes(np.linalg.solve(following, flow.bend), 1, 2)
     back = np.asarray(np.linalg.inv(following).T, dtype=np.float64)
     panels = GapPanels(np.linspace(0.0, h, len(M)), M, bend, flow.third, back)
     through = np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64)
-    return ChainGap(h, through, panels, *_cells(table.A, table.G, following, panels, loss))
+    return GapDynamics(h, through, panels, *_cells(table.A, table.G, following, panels, loss))
 
 
 def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.sequence import forgets, looks_back, proven_ratio, settles
-from sampling_design.planning.sequence_chain import plan_chain, sequence_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, phase_of, planned
+from sampling_design.planning.sequence_system import plan_system, sequence_system
 from tests.oracles import planning as oracle
 
 
 def alone(plan, k, late):
     """The plan with its sample k so late, and read with its second sensor alone."""
     sequence = delayed(plan, k, late)
-    seen = sequence.seen.copy()
+    seen = sequence.measured.copy()
     seen[sequence.first] = [False, True]
     return SampleSequence(sequence.times, seen, sequence.first)
 
@@ -30,15 +30,15 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_no_adversary_is_beyond_what_the_filter_bounds(week, change):
     sequence = CHANGES[change](week)
-    own = plan_chain(week)
-    chain, atoms = sequence_chain(week, own, sequence)
-    fresh = [k for k, gap in enumerate(chain.gaps) if not any(gap is other for other in own.gaps)]
+    own = plan_system(week)
+    system, directions = sequence_system(week, own, sequence)
+    fresh = [k for k, gap in enumerate(system.gaps) if not any(gap is other for other in own.gaps)]
     assert set(fresh) <= {sequence.first - 1, sequence.first}
-    assert all(gap.length == pytest.approx(h) for gap, h in zip(chain.gaps, np.diff(sequence.times), strict=True))
-    search = ChainSearch(chain, atoms)
+    assert all(gap.length == pytest.approx(h) for gap, h in zip(system.gaps, np.diff(sequence.times), strict=True))
+    search = GainSearch(system, directions)
     for k in (sequence.first - 1, sequence.first, sequence.first + 2):
-        for unit in np.eye(chain.D.size):
-            bound = atoms[k].bound(unit[None])[0]
+        for unit in np.eye(system.D.size):
+            bound = directions[k].bound(unit[None])[0]
             gains, adversary = search.both_sides(k, unit)
             assert 0 < adversary.value <= gains.value * (1 + 1e-9)
             assert adversary.value <= bound
@@ -48,7 +48,7 @@ def test_no_adversary_is_beyond_what_the_filter_bounds(week, change):
 def test_what_is_proven_of_a_change_is_above_what_another_program_attains(week, change):
     sequence, plant = CHANGES[change](week), week.plant
     low = sequence.first - min(looks_back(week), 8)
-    times, seen = sequence.times[low:], sequence.seen[low:]
+    times, seen = sequence.times[low:], sequence.measured[low:]
     w, v, attained = np.array([0.02, 0.01]), np.array([0.5, 0.1]), 0.0
     for k in range(sequence.first - low - 1, sequence.first - low + 2):
         for end in np.linspace(times[k], times[k + 1], 3):
@@ -66,9 +66,9 @@ def test_samples_of_other_clocks_are_the_plans(week):
     first = week.samples
     np.testing.assert_allclose(real, np.append(times[:first], times[first:] - 1.0), rtol=1e-12)
     np.testing.assert_array_equal(same, seen)
-    chain, _ = sequence_chain(week, plan_chain(week), SampleSequence(real, seen, first, week.clock))
-    own = plan_chain(week)
-    assert all(a is own.samples[phase_of(week.schedule, t)] for a, t in zip(chain.samples, times, strict=True))
+    system, _ = sequence_system(week, plan_system(week), SampleSequence(real, seen, first, week.clock))
+    own = plan_system(week)
+    assert all(a is own.samples[phase_of(week.schedule, t)] for a, t in zip(system.samples, times, strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -93,14 +93,15 @@ def test_a_filter_that_forgets_slowly_is_followed_until_it_has(slow):
     sequence = without(slow, 0, 1)
     proven = proven_ratio(slow, sequence)
     times, seen = planned(slow, float(sequence.times[-1]) + 1e-6, float(sequence.times[-1]) + 40.0)
-    longer = SampleSequence(np.append(sequence.times, times), np.vstack([sequence.seen, seen]), sequence.first)
+    longer = SampleSequence(np.append(sequence.times, times), np.vstack([sequence.measured, seen]), sequence.first)
     assert proven_ratio(slow, longer) <= proven * (1 + 1e-3)
     assert proven > max(slow.reached / [goal.tolerance for goal in slow.problem.goals])
-    filtered = plan_chain(slow)
-    _, atoms = sequence_chain(slow, filtered, longer)
+    filtered = plan_system(slow)
+    _, directions = sequence_system(slow, filtered, longer)
     settled = len(sequence.times) - 1 - max(looks_back(slow), forgets(slow)) - count
     over = [
-        np.max(a.reach / filtered.reach[phase_of(slow.schedule, t)]) for a, t in zip(atoms, longer.times, strict=True)
+        np.max(a.reach / filtered.reach[phase_of(slow.schedule, t)])
+        for a, t in zip(directions, longer.times, strict=True)
     ]
     assert max(over[: sequence.first + 1]) > max(over[settled:])
     assert max(over[settled + forgets(slow) :]) <= max(over[settled : settled + forgets(slow)]) * (1 + 1e-6)
@@ -110,7 +111,7 @@ def test_a_sequence_that_does_not_end_with_the_plan_for_long_enough_proves_nothi
     sequence = delayed(week, 1, week.problem.step)
     assert proven_ratio(week, sequence) < np.inf
     few = sequence.first + settles(week) - 4
-    assert proven_ratio(week, SampleSequence(sequence.times[:few], sequence.seen[:few], sequence.first)) == np.inf
+    assert proven_ratio(week, SampleSequence(sequence.times[:few], sequence.measured[:few], sequence.first)) == np.inf
     moved = sequence.times.copy()
     moved[-3] += week.problem.step
-    assert proven_ratio(week, SampleSequence(moved, sequence.seen, sequence.first)) == np.inf
+    assert proven_ratio(week, SampleSequence(moved, sequence.measured, sequence.first)) == np.inf

@@ -6,7 +6,7 @@ import pytest
 from sampling_design import PlanRequirement, Plant, guaranteed_accuracy, plan_samples
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, UndecidedError
 from sampling_design.planning import plan as room
-from sampling_design.planning.discrete_plant import hidden_at, motion_of
+from sampling_design.planning.discrete_plant import discretize, hidden_at
 from sampling_design.planning.problem import pose_plan
 
 RATE = 2 * np.pi / 24
@@ -124,15 +124,15 @@ def test_a_search_that_judged_too_well_is_mended_or_says_so(monkeypatch):
 
 def test_the_mask_is_where_the_hidden_motion_shows():
     problem = pose_plan(LEVEL_AND_RHYTHM, wanted())
-    motion = motion_of(problem)
-    rows = motion.rows(np.array([[1.0, 0.0, 0.0]]))
+    discrete = discretize(problem)
+    rows = discrete.rows(np.array([[1.0, 0.0, 0.0]]))
     twice = np.zeros((6, 1), dtype=bool)
     twice[[0, 3]] = True  # twelve hours apart: level, and what turns by half, but not both and the quarter
-    found = hidden_at(motion, twice, rows, np.array([True]))
+    found = hidden_at(discrete, twice, rows, np.array([True]))
     assert found is not None
     assert not found.where[twice].any()
     assert found.where[~twice].all()
-    assert hidden_at(motion, problem.allowed, rows, np.array([True])) is None
+    assert hidden_at(discrete, problem.allowed, rows, np.array([True])) is None
 
 
 @pytest.mark.long

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy import sample_chain as chains
+from sampling_design.accuracy import sampled_system as chains
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.errors import UndecidedError
 
@@ -24,48 +24,48 @@ def made(name, gaps):
     plant = sd.Plant(*PLANTS[name])
     count = len(gaps)
     bounds = SignalBounds.of(plant, count, np.ones((count, 1), dtype=bool), 0.02, np.full((count, 1), 0.4))
-    return chains.endless_chain(plant, np.array(gaps), bounds)
+    return chains.periodic_system(plant, np.array(gaps), bounds)
 
 
-def by_whole_periods(chain, j):
+def by_whole_periods(system, j):
     """R = cost + |rest|'R for one sample alone, over as many periods as it takes."""
-    count, n = len(chain), chain.D.size
+    count, n = len(system), system.D.size
     mu, cost, at, steps = np.eye(n), np.zeros(n), j, 0
     while True:
-        sample = chain.samples[at]
+        sample = system.samples[at]
         gains = sample.K.T @ mu
         mu = mu - sample.H.T @ gains
         cost += np.abs(gains).sum(axis=0)
         if steps and at == j and np.abs(mu).sum(axis=0).max() < chains.CONTRACTED:
             return np.linalg.solve(np.eye(n) - np.abs(mu).T, cost)
         at, steps = (at - 1) % count, steps + 1
-        cost += chain.gaps[at].panels.integral(mu, chain.bounds.w_ball)
-        mu = chain.gaps[at].F.T @ mu
+        cost += system.gaps[at].panels.integral(mu, system.bounds.w_ball)
+        mu = system.gaps[at].F.T @ mu
 
 
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("gaps", [[1.3], [0.7, 1.6, 0.9, 2.0]])
 def test_the_reach_is_that_of_each_sample_alone(name, gaps):
-    chain = made(name, gaps)
-    for j in range(len(chain)):
-        np.testing.assert_allclose(chain.reach[j], by_whole_periods(chain, j), rtol=3 * chains.CONTRACTED)
+    system = made(name, gaps)
+    for j in range(len(system)):
+        np.testing.assert_allclose(system.reach[j], by_whole_periods(system, j), rtol=3 * chains.CONTRACTED)
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_the_reach_satisfies_its_inequality_and_hardly_more(name):
-    chain = made(name, [0.7, 1.6, 0.9, 2.0])
-    for j, (back, cost, rest) in enumerate(chain._filtered):
-        right = cost + rest.T @ chain.reach[(j - back) % len(chain)]
-        np.testing.assert_allclose(chain.reach[j], right, rtol=1e-12)
+    system = made(name, [0.7, 1.6, 0.9, 2.0])
+    for j, (back, cost, rest) in enumerate(system._filtered):
+        right = cost + rest.T @ system.reach[(j - back) % len(system)]
+        np.testing.assert_allclose(system.reach[j], right, rtol=1e-12)
         assert rest.sum(axis=0).max() < chains.CONTRACTED
 
 
 def test_many_samples_take_as_many_steps_as_the_error_lasts(monkeypatch):
-    chain, calls = made("growing", [4.0] * 60), []
+    system, calls = made("growing", [4.0] * 60), []
     panels = chains.GapPanels.integral
     monkeypatch.setattr(chains.GapPanels, "integral", lambda *given: calls.append(1) or panels(*given))
-    assert chain.reach.shape == (60, 1)
-    assert len(calls) == chain.forgetting.sum() < 6 * 60
+    assert system.reach.shape == (60, 1)
+    assert len(calls) == system.forgetting.sum() < 6 * 60
 
 
 def test_an_error_that_is_not_forgotten_is_not_bounded(monkeypatch):

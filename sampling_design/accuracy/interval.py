@@ -417,15 +417,13 @@ def state_interval(
     at = float(readings.times[-1]) if at is None else at
     if outliers == 0:
         return prove(RecordProgram(readings), at, rows)
-    record_rows = arrived(items, plant.n_outputs)
-    begun = beginning(record_rows) if prior_time is None else prior_time
-    samples = [
-        k for k, row in enumerate(record_rows) if row.censored or (row.y is not None and np.isfinite(row.y).any())
-    ]
+    every = arrived(items, plant.n_outputs)
+    begun = beginning(every) if prior_time is None else prior_time
+    samples = [k for k, row in enumerate(every) if row.censored or (row.y is not None and np.isfinite(row.y).any())]
     cases = []
     for out in left_out(outliers, len(samples)):
         gone = {samples[k] for k in out}
-        rest = [(record_rows[k].t, None, record_rows[k].u) if k in gone else item for k, item in enumerate(items)]
+        rest = [(every[k].t, None, every[k].u) if k in gone else item for k, item in enumerate(items)]
         noise = np.delete(np.asarray(v_bound), out, axis=0) if np.ndim(v_bound) == 2 else v_bound  # type: ignore[arg-type]
         read = read_record(plant, rest, w_bound, noise, initial_error, prior, begun, at)
         cases.append(prove(RecordProgram(read), at, rows))

@@ -452,41 +452,26 @@ def _history(plan: Plan, taken: _RecordedSamples | None, now: float) -> SampleSe
     until = now + tiny if taken is None else float(taken.times[0]) - max(late.late) - tiny
     since, wider = settled_from_start(plan) if until >= span else (np.inf, np.inf)
     if until - span < since:
-        begun = from_start(plan, until, plan.clock)
-        if taken is None:
-            return begun
-        before = begun.times < until
-        times, measured = (
-            np.concatenate([begun.times[before], taken.times]),
-            np.concatenate([begun.measured[before], taken.measured]),
-        )
-        known_sides = np.concatenate([begun.sides[before], np.zeros((len(taken.measured), 2, plan.plant.n_outputs))])
-        return replace(
-            begun,
-            times=times,
-            measured=measured,
-            known_sides=known_sides,
-            result_times=_result_times(plan, int(before.sum()), taken, now),
-        )
-    times, measured = planned(plan, until - span, until, plan.clock)
-    first, delay = _unchanged(plan, times), plan.problem.result_delay
-    followed = SampleSequence(times, measured, first, plan.clock, wider=wider, late=late, result_delay=delay)
+        followed = from_start(plan, until, plan.clock)
+    else:
+        times, measured = planned(plan, until - span, until, plan.clock)
+        first, delay = _unchanged(plan, times), plan.problem.result_delay
+        followed = SampleSequence(times, measured, first, plan.clock, wider=wider, late=late, result_delay=delay)
     if taken is None:
         return followed
+    followed = followed.until(int(np.sum(followed.times < until)))
+    times = np.concatenate([followed.times, taken.times])
+    measured = np.concatenate([followed.measured, taken.measured])
+    count = first = len(followed.times)
     wanted = planned(plan, until, now + tiny, plan.clock)
-    same, count = 0, times.size
-    for t, mask, deadline, meant in zip(taken.times, taken.measured, wanted[0], wanted[1], strict=False):
-        if (
-            late.shift or abs(t - deadline) > tiny or not np.array_equal(mask, meant)
-        ):  # the plan's own is about its centre
-            break
-        same += 1
-    times, measured = np.concatenate([times, taken.times]), np.concatenate([measured, taken.measured])
-    first, result_times = min(count + same, _unchanged(plan, times)), _result_times(plan, count, taken, now)
-    known_sides = np.concatenate([followed.sides, np.zeros((len(taken.measured), 2, plan.plant.n_outputs))])
-    return replace(
-        followed, times=times, measured=measured, first=first, known_sides=known_sides, result_times=result_times
-    )
+    for t, mask, planned_at, meant in zip(taken.times, taken.measured, *wanted, strict=False):
+        if late.shift or abs(t - planned_at) > tiny or not np.array_equal(mask, meant):
+            break  # where samples may be late, the plan's own is about its centre
+        first += 1
+    first = 0 if followed.begins else min(first, _unchanged(plan, times))
+    sides = np.concatenate([followed.sides, np.zeros((len(taken.times), 2, plan.plant.n_outputs))])
+    come = _result_times(plan, count, taken, now)
+    return replace(followed, times=times, measured=measured, first=first, known_sides=sides, result_times=come)
 
 
 def _result_times(plan: Plan, before: int, taken: _RecordedSamples, now: float) -> Array:

@@ -20,7 +20,7 @@ from sampling_design.checkers.long_numbers import BITS, doubles, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import from_json
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
@@ -82,7 +82,7 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     assert CliRunner().invoke(app, ["verify", str(path.with_name("forged.json"))]).exit_code == 1
     sd.plants.write_plant(sd.Plant([[0.0]], [[1.0]]), tmp_path / "other.toml")
     with pytest.raises(CertificateError, match="is about another plant"):
-        reading.interval(path, sd.read_plant(tmp_path / "other.toml"))
+        files.interval(path, sd.read_plant(tmp_path / "other.toml"))
     kind = sd.certificates.certify_detectability(SPRING).save(tmp_path / "detectability.json")
     data["t"] = "late"
     late = tmp_path / "late.json"

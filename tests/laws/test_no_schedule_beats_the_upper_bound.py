@@ -116,7 +116,7 @@ def test_boxes_cut_again_and_again_stay_above_every_schedule_of_a_grid(case, win
 class Scripted:
     """A tree of boxes whose bound falls as it is told, a cut at a time."""
 
-    budget, bound = ENDLESS, branching._BoxTree.bound
+    budget, bound = ENDLESS, branching._ZoneBoxTree.bound
 
     def __init__(self, values):
         self.values, self.spent, self.parts = values, 0, ()

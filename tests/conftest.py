@@ -26,9 +26,9 @@ settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
-KICKS = local_search.KICKS
+KICKS, LED = local_search.KICKS, local_search.LED
 KICKED = ("tests/design/test_search.py", "tests/docs", "tests/benchmarks", "tests/browser", "sampling_design")
-"""Where a search of designs has its kicks: where they are judged, and where figures of the documentation are."""
+"""Where a search of designs is whole: where that is judged, and where figures of the documentation are."""
 gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
 
 
@@ -99,9 +99,10 @@ def spread(items: list[Any], kind: Callable[[Any], object], most: int) -> list[A
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> None:
-    """Let a search of designs end with its starts: kicks are two thirds of it, and few tests are about them."""
+    """Let a search of designs end with few starts: others and kicks are nearly all of it, and few tests are about them."""
     long = item.get_closest_marker("long") is not None and not item.nodeid.startswith("tests/cli")
-    local_search.KICKS = KICKS if long or item.nodeid.startswith(KICKED) else 0
+    whole = long or item.nodeid.startswith(KICKED)
+    local_search.KICKS, local_search.LED = (KICKS, LED) if whole else (0, 1)
 
 
 def pytest_collection_finish() -> None:

@@ -33,6 +33,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 ValueProgress = Callable[[float, float], None]  # Called with the fraction done and sigma of the best schedule
 DRAWS = 60  # random schedules that are looked at before the best few are refined
 KICKS = 4  # times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew
+LED = 3  # times as many starts as are asked for are led on by the quasi-Newton method
 
 ROTATIONS, CHEAP_ROTATIONS = 4, 16
 """Rotations that are refined where what is allowed repeats; more where a quasi-Newton method leads them on."""
@@ -48,7 +49,6 @@ _GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what sh
 _EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
 _BEFORE_KICKS = 0.6  # of the search, as progress counts it
 _NEAR = 0.997  # of the bound: from there on a kick, or a heat bath, costs more than it can gain
-_LED = 3  # times as many starts as are asked for are led on by the quasi-Newton method
 _FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
 HOPELESS_START, HOPELESS_KICK = 0.7, 0.92  # of the best sigma^2 after a few steps: not led on any further
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
@@ -170,7 +170,7 @@ def _led(
     """The starts worth it, led on by the quasi-Newton method. Without time, as they are."""
     problem = run.problem
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
-    best = _ranked(values)[: _LED * starts]
+    best = _ranked(values)[: LED * starts]
     found = []
     for i in [*best, *(i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in best)]:
         if run.budget.over:

@@ -26,7 +26,7 @@ settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
-KICKS, LED = local_search.KICKS, local_search.LED
+SEARCH = {name: getattr(local_search, name) for name in ("KICKS", "LED", "FEW")}
 KICKED = ("tests/design/test_search.py", "tests/docs", "tests/benchmarks", "tests/browser", "sampling_design")
 """Where a search of designs is whole: where that is judged, and where figures of the documentation are."""
 gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
@@ -102,7 +102,8 @@ def pytest_runtest_protocol(item: pytest.Item) -> None:
     """Let a search of designs end with few starts: others and kicks are nearly all of it, and few tests are about them."""
     long = item.get_closest_marker("long") is not None and not item.nodeid.startswith("tests/cli")
     whole = long or item.nodeid.startswith(KICKED)
-    local_search.KICKS, local_search.LED = (KICKS, LED) if whole else (0, 1)
+    for name, number in SEARCH.items():
+        setattr(local_search, name, number if whole else int(name != "KICKS"))
 
 
 def pytest_collection_finish() -> None:

@@ -33,6 +33,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 ValueProgress = Callable[[float, float], None]  # Called with the fraction done and sigma of the best schedule
 DRAWS = 60  # random schedules that are looked at before the best few are refined
 KICKS = 4  # times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew
+FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
 LED = 3  # times as many starts as are asked for are led on by the quasi-Newton method
 
 ROTATIONS, CHEAP_ROTATIONS = 4, 16
@@ -49,7 +50,6 @@ _GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what sh
 _EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
 _BEFORE_KICKS = 0.6  # of the search, as progress counts it
 _NEAR = 0.997  # of the bound: from there on a kick, or a heat bath, costs more than it can gain
-_FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
 HOPELESS_START, HOPELESS_KICK = 0.7, 0.92  # of the best sigma^2 after a few steps: not led on any further
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
@@ -139,7 +139,7 @@ def _search_from(
             led = annealed(problem, relaxation, begun, rng, budget, cooled)
             bathed = [("heat bath", times) for times in led]
             pool += _led(run, problem.orthogonal_flow, bathed, len(bathed)) if bathed else []
-        starts = min(starts, _FEW)
+        starts = min(starts, FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
     order = _ranked(values)[:starts]
     named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]

@@ -99,7 +99,7 @@ def spread(items: list[Any], kind: Callable[[Any], object], most: int) -> list[A
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> None:
-    """Let a search of designs end with few starts: others and kicks are nearly all of it, and few tests are about them."""
+    """Let a search of designs end with few starts: others and kicks are most of it, and few tests are about them."""
     long = item.get_closest_marker("long") is not None and not item.nodeid.startswith("tests/cli")
     whole = long or item.nodeid.startswith(KICKED)
     for name, number in SEARCH.items():

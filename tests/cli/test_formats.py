@@ -27,7 +27,7 @@ COMMANDS = {
     "certify": (OSCILLATOR, "schedule.csv", "--eta", 0.4),
     "verify": ("certificate.json",),
     "accuracy": (OSCILLATOR, "schedule.csv", "--w", 0.02, "--v", 0.4),
-    "robustness": (OSCILLATOR, "certificate.json", "--longest", 2, "--budget", 0.5),
+    "robustness": (OSCILLATOR, "certificate.json", "--longest", 2, "--budget", 0.3),
     "estimate": (OSCILLATOR, "readings.csv", "--horizon", 3),
     "validate": (OSCILLATOR, "schedule.csv", "--runs", 3, "--eta", 0.4, "--duration", 6),
     "compare": (OSCILLATOR, "schedule.csv", "readings.csv"),

@@ -102,11 +102,11 @@ def test_a_calendar_of_local_hours_never_leaves_them(shell, tmp_path, start, unt
 
 
 def test_design_prints_the_defaults_it_used(shell):
-    result = shell("design", plant("oscillator"))
+    result = shell("design", plant("oscillator"), "--branches", 0)
     assert result.code == 0
     for word in ("window", "period", "samples", "spacing"):
         assert f"{word} not given:" in result.err
-    assert shell("design", plant("oscillator"), "--quiet").err == ""
+    assert shell("design", plant("oscillator"), "--branches", 0, "--quiet").err == ""
 
 
 @pytest.mark.long

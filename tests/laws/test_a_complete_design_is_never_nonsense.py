@@ -96,7 +96,7 @@ def test_one_sample_a_period_has_no_gap(growth):
     assert design.gap < 1e-6
 
 
-@pytest.mark.parametrize("fixed", few([[0.0, np.pi], [0.0, 1.0, 2.5], [0.5, 1.0, 1.5, 4.0]], 1, 2))
+@pytest.mark.parametrize("fixed", few([[0.0, np.pi], [0.0, 1.0, 2.5], [0.5, 1.0, 1.5, 4.0]], 1))
 def test_where_all_samples_are_fixed_the_bound_is_what_they_see(fixed):
     design = check(problem(window=2 * np.pi, period=2 * np.pi, spacing=0.1, samples=len(fixed), fixed=fixed))
     assert design.schedule.times.tolist() == fixed

@@ -80,7 +80,7 @@ def test_no_motion_of_a_finite_schedule_breaks_what_a_plan_says_of_its_start(pla
         assert np.max(lower[(edges[:-1] >= last - 1e-9) & ~after]) > 0.98 * tolerance
 
 
-@pytest.mark.parametrize("name", few(PLANTS, 0, 2))
+@pytest.mark.parametrize("name", few(PLANTS, 2))
 def test_a_smaller_error_at_the_start_is_never_outgrown_later(plans, name):
     times = [plan_start(started(plans[name], name, None if size == np.inf else size)).from_time for size in SIZES]
     assert times == sorted(times, reverse=True)

@@ -73,7 +73,7 @@ def adversarial_run(name, seed):
     return found, x
 
 
-@pytest.mark.parametrize("name", few(CASES, 0, 1))
+@pytest.mark.parametrize("name", few(CASES, 1))
 def test_interval_of_the_data_always_holds_the_truth(name):
     for seed in range(RUNS):
         found, truth = adversarial_run(name, seed)

@@ -46,10 +46,8 @@ SCHEDULES = {
 FAST = [
     ("frequency", "periodic", "on time"),
     ("frequency", "blind", "late"),
-    ("growth", "equal", "late"),
     ("growth", "lost", "late"),
     ("gain", "jitter", "early"),
-    ("vertices", "jitter", "late"),
     ("vertices", "spaced", "on time"),
 ]
 EVERY = [(p, s, f) for p in PLANTS for s in SCHEDULES for f in ("early", "on time", "late")]

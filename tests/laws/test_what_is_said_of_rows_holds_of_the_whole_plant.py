@@ -149,7 +149,7 @@ def test_a_hidden_mode_may_grow_beyond_anything(growth):
     check_held(filter.run(record.measurements).estimates, record.truth, np.eye(2))
 
 
-@pytest.mark.parametrize("seed", few(range(60), 0, 1))
+@pytest.mark.parametrize("seed", few(range(60), 0))
 def test_a_certificate_of_rows_states_the_exact_supremum_of_the_whole_plant(seed):
     """lambda is attained to its resolution, and |z|^2 never exceeds what P1 says, both by a dense least-squares problem
     in the coordinates of the whole plant."""

@@ -288,7 +288,7 @@ WEAKER = {"P2", "R", "Qv", "lam", "lam_samples"}
 """Fields of which a larger one claims less."""
 
 
-@pytest.mark.parametrize("part", few(range(8), 0, 5))
+@pytest.mark.parametrize("part", few(range(8), 5))
 def test_no_entry_of_a_certificate_of_rows_can_be_altered_unseen(part):
     """As it is, by nobody; sealed again by a forger, only where what is then claimed holds. Both checkers agree."""
     data = json.loads(json.dumps(certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2)).to_dict()))

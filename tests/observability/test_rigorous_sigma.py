@@ -151,7 +151,7 @@ FAMILIES = {
 }
 
 
-@pytest.mark.parametrize("name", few(FAMILIES, 1, 3, 4, 5))
+@pytest.mark.parametrize("name", few(FAMILIES, 1, 4, 5))
 def test_the_worst_case_is_proven_and_gives_hardly_anything_away(name):
     plant, family, reference = FAMILIES[name]
     plain = worst_case_sigma(plant, family)
@@ -167,7 +167,7 @@ def test_the_worst_case_is_proven_and_gives_hardly_anything_away(name):
         assert 0.98 * reference < proven.lower < reference * (1 + 1e-4)
 
 
-@pytest.mark.parametrize("name", few(FAMILIES, 0, 2, 5))
+@pytest.mark.parametrize("name", few(FAMILIES, 0, 5))
 def test_a_worst_case_above_an_attained_one_is_never_proven(name):
     plant, family, _ = FAMILIES[name]
     found = worst_case_sigma(plant, family)

@@ -13,7 +13,7 @@ NUMBER = r"(\d*\.?\d+)"
 class Figure:
     """Numbers in the text of a page: each group of the pattern is one, and `made` returns them.
 
-    A blank of the pattern is any white space: a sentence may be broken anew. `slow` is what takes over a second.
+    A blank of the pattern is any white space: a sentence may be broken anew. `slow` is what takes over .2 s.
     """
 
     page: str

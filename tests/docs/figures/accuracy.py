@@ -41,13 +41,16 @@ def projection():
 
 
 FIGURES = (
-    Figure(PAGE, r"\| oscillator, .* \| " + BRACKETS % ", ".join([NUMBER] * 4), lambda: reference(swinging())),
+    Figure(
+        PAGE, r"\| oscillator, .* \| " + BRACKETS % ", ".join([NUMBER] * 4), lambda: reference(swinging()), slow=True
+    ),
     Figure(PAGE, r"\| double integrator, .* \| " + BRACKETS % ", ".join([NUMBER] * 3), drifting),
     Figure(
         PAGE,
         rf"has a limit of {NUMBER} for its position and {NUMBER} for its velocity",
         lambda: tuple(sd.accuracy.accuracy_limit(OSCILLATOR, w_bound=0.02, v_bound=0.4).lower),
+        slow=True,
     ),
-    Figure(PAGE, rf"samples every \$.05\$ s guarantee {NUMBER} and {NUMBER}", lambda: tuple(dense())),
-    Figure(PAGE, rf"its area is {NUMBER} times that of the set", projection),
+    Figure(PAGE, rf"samples every \$.05\$ s guarantee {NUMBER} and {NUMBER}", lambda: tuple(dense()), slow=True),
+    Figure(PAGE, rf"its area is {NUMBER} times that of the set", projection, slow=True),
 )

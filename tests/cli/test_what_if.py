@@ -20,6 +20,22 @@ def test_worst_case_brackets_sigma_and_draws_it(shell, tmp_path):
     assert (tmp_path / "worst_case.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_worst_case_takes_a_tolerance_of_each_output(shell, tmp_path):
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 0.5]], outputs=["near", "far"])
+    sd.plants.write_plant(plant, tmp_path / "plant.toml")
+    rule = "worst-case", tmp_path / "plant.toml", "--window", 4, "--count", 3, "--spacing", 0.5, "--timing-tolerance"
+    asked = sd.worst_case_sigma(plant, sd.SpacedWindows(4.0, 3, 0.5), timing_tolerance={"far": (0.0, 0.2)})
+    told = shell(*rule, "far=0:0.2")
+    assert "as planned; each output on time (near), up to 0.2 s late (far), over windows of 4.2 s" in asked.explain()
+    assert asked.explain() in " ".join(told.out.split())
+    data = json.loads(shell(*rule, "far=0:0.2", "--json").out)
+    assert (data["lower"], data["timing_tolerance"]) == (asked.lower, {"near": 0.0, "far": [0.0, 0.2]})
+    assert data["readings"] == asked.readings.tolist()
+    late = shell(*rule, "far=0.3")
+    assert late.code == 2
+    assert "samples could change places" in late.err
+
+
 def test_worst_case_of_too_few_samples_is_a_no(shell):
     assert shell("worst-case", OSCILLATOR, "--window", 4, "--count", 1, "--spacing", 0.5).code == 1
 

@@ -60,3 +60,41 @@ def brute_force(A, C, window, count, spacing, points, polished=3):
         )
         best = min(best, (float(result.fun), from_steps(result.x, window, count, spacing)), key=lambda b: b[0])
     return best
+
+
+def sigma_of_readings(A, C, readings):
+    """The n-th singular value where output i of sample k is read at `readings[k, i]`."""
+    rows = np.array([C[i] @ expm(A * t) for times in readings for i, t in enumerate(times)])
+    n = A.shape[0]
+    return 0.0 if rows.shape[0] < n else float(np.linalg.svd(rows, compute_uv=False)[n - 1])
+
+
+def least_of_readings(A, C, window, count, spacing, early, late, rng, drawn=60, polished=3):
+    """Least sigma found where output i of each planned sample is read within [t - early_i, t + late_i]; with them.
+
+    The window begins max early before the first time that may be planned. Planned times and moves are drawn, half of
+    them at their ends; then descended from by Nelder-Mead, all at once.
+    """
+    early, late = (np.asarray(side, dtype=float) for side in (early, late))
+    p, slack = len(early), window - (count - 1) * spacing
+
+    def readings_of(steps):
+        slacks = slack * np.sort(np.clip(steps[:count], 0.0, 1.0))
+        moves = np.clip(steps[count:].reshape(count, p), 0.0, 1.0)
+        planned = early.max() + times_of_slacks(slacks, spacing)
+        return planned[:, None] - early + moves * (early + late)
+
+    tried = []
+    for turn in range(drawn):
+        steps = rng.uniform(size=count * (1 + p))
+        steps = steps if turn % 2 else np.where(rng.uniform(size=steps.size) < 0.7, np.round(steps), steps)
+        tried.append((sigma_of_readings(A, C, readings_of(steps)), steps))
+    tried.sort(key=lambda each: each[0])
+    least, best = tried[0]
+    for _, steps in tried[:polished]:
+        options = {"maxfev": 60 * steps.size, "xatol": 1e-7, "fatol": 1e-12}
+        found = minimize(
+            lambda s: sigma_of_readings(A, C, readings_of(s)), steps, method="Nelder-Mead", options=options
+        )
+        least, best = min((least, best), (float(found.fun), found.x), key=lambda each: each[0])
+    return least, readings_of(best)

@@ -9,12 +9,14 @@ directions z0 + d, d in a box,
 both sides linear in z: where z0'Gc > 0 and z0'Gc >= mu z0'L'Lc at each corner c, no worst z of the cell has
 lambda < mu. At a corner the left side is a sum over the samples; between the points of a time grid each term lies
 above its chords minus (h^2/8) max of its second derivative, and the least sum over ordered slacks is a least path.
+Outputs that are read at times of their own add what they add least at any of them, a chord over these too.
 Rows come from balls; sums of doubles are lowered by the bound on their rounding; directions are dyadic, so that their
 products are exact.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import product
@@ -23,16 +25,18 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.numerics.ball_flow import BallFlow
-from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix, rational
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, matrix, rational
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.balls import SHAVES, nearest_proven
-from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows, output_groups
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 FIRST_GRID, LAST_GRID = 32, 8192  # cells of the time grid at first and at most
+FIRST_MOVES = 4  # cells of the time grid for one of a reading's moves
 THINNEST = 20  # most halvings of a side: products of such dyadic numbers are exact doubles
 MOST_STATES = 8  # 2^(n-1) corners per cell
 MOST_CELLS = 200_000  # open at once
@@ -62,29 +66,46 @@ class BallCells(NamedTuple):
         return half
 
 
-class BallTable(NamedTuple):
-    """Per sample and grid point vec G and vec (h^2/8) G''; for |X| = 1 the rounding of both and the bend's bend."""
+class BallGroup(NamedTuple):
+    """Outputs that are read at one time: rows C to C A^4, and how long after the planned time, exactly."""
 
-    gram: Array  # (k, N + 1, q)
-    bend: Array  # (k, N + 1, q)
-    rounding: Array  # (k, N + 1) of <G, X>
-    blur: Array  # (k, N + 1) of <(h^2/8) G'', X>
-    fourth: Array  # (k, N) (h^2/8)^2 times the supremum of the fourth derivative over each cell
+    rows: Matrix  # (5 p, n)
+    lag: Fraction
+    radius: Fraction
+
+    def moves(self, cells: int, slack: Fraction) -> int:
+        """Cells of the moves that go with a grid: two at first, none finer than the grid's; none where none moves."""
+        finest = 2 * self.radius * cells / slack if slack else cells
+        return min(cells // FIRST_MOVES, math.ceil(finest))
+
+
+class BallTable(NamedTuple):
+    """Per sample, grid point and move vec G and vec (h^2/8) G''; for |X| = 1 the rounding of both and the bend's bend.
+
+    Squared beside h stands the width of a cell of moves.
+    """
+
+    gram: Array  # (k, N + 1, m, q)
+    bend: Array  # (k, N + 1, m, q)
+    rounding: Array  # (k, N + 1, m) of <G, X>
+    blur: Array  # (k, N + 1, m) of <(h^2/8) G'', X>
+    fourth: Array  # (k, N, m) (h^2/8)^2 times the supremum of the fourth derivative over each cell and its moves
 
 
 class WorstCase:
     """Tables and cells of one plant and family, in coordinates x = L z."""
 
-    def __init__(self, plant: Plant, family: SpacedWindows, basis: Array, clock: Budget) -> None:
+    def __init__(
+        self, plant: Plant, family: SpacedWindows, basis: Array, clock: Budget, late: TimingTolerance = ON_TIME
+    ) -> None:
         self.n, self.p, self.k, self.clock = plant.n_states, plant.n_outputs, family.count, clock
         self.offsets = [Fraction(family.spacing) * i for i in range(self.k)]
         self.slack = max(Fraction(family.window) - self.offsets[-1], Fraction(0))
         L, A = matrix(basis), matrix(plant.A)
         self.flow = BallFlow(L.solve(A * L), matrix(np.zeros((self.n, self.n))))
-        rows = [matrix(plant.C) * L]
-        for _ in range(4):
-            rows.append(rows[-1] * self.flow.A)
-        self.rows = flint().arb_mat([row for part in rows for row in part.tolist()])
+        self.groups = [
+            self._group(matrix(group.C) * L, late, group.outputs[0]) for group in output_groups(plant.C, late)
+        ]
         self.upper = np.triu_indices(self.n)
         self.weight = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
         self.basis = L
@@ -94,36 +115,46 @@ class WorstCase:
         signs = np.array(list(product((-1.0, 1.0), repeat=self.n - 1))).reshape(2 ** (self.n - 1), self.n - 1)
         signs = np.vstack([signs, np.zeros((1, self.n - 1))])  # the centre too: it tells a claim that is false
         self.signs = np.stack([np.insert(signs, f, 0.0, axis=1) for f in range(self.n)])
-        self._tables: dict[int, BallTable] = {}
+        self._tables: dict[int, list[BallTable]] = {}
 
-    def table(self, cells: int) -> BallTable:
-        """The table of a grid of `cells` cells."""
+    def _group(self, C: Matrix, late: TimingTolerance, output: int) -> BallGroup:
+        """The group of an output, whose rows these are."""
+        rows = [C]
+        for _ in range(4):
+            rows.append(rows[-1] * self.flow.A)
+        early, after = (Fraction(side[output if late.apart else 0]) for side in (late.early, late.late))
+        lag = max(map(Fraction, late.early)) + (after - early) / 2
+        return BallGroup(flint().arb_mat([row for part in rows for row in part.tolist()]), lag, (early + after) / 2)
+
+    def tables(self, cells: int) -> list[BallTable]:
+        """The tables of a grid of `cells` cells, one of each group."""
         if cells not in self._tables:
-            self._tables[cells] = self._made(cells)
+            self._tables[cells] = [self._made(cells, group) for group in self.groups]
         return self._tables[cells]
 
-    def _made(self, cells: int) -> BallTable:
-        step = rational(self.slack / cells)
-        E = self.flow.over(step)[0]
-        y = np.empty((self.k, cells + 1, 5, self.p, self.n))
-        for i, offset in enumerate(self.offsets):
+    def _made(self, cells: int, group: BallGroup) -> BallTable:
+        step, parts = self.slack / cells, group.moves(cells, self.slack)
+        E, across = self.flow.over(rational(step))[0], 2 * group.radius / max(parts, 1)
+        y = np.empty((self.k, cells + 1, parts + 1, 5, group.rows.nrows() // 5, self.n))
+        for i, m in np.ndindex(self.k, parts + 1):
             self.clock.check()
-            at = self.rows * self.flow.over(rational(offset))[0]
+            begun = self.offsets[i] + group.lag - group.radius + m * across
+            at = group.rows * self.flow.over(rational(begun))[0]
             for j in range(cells + 1):
-                y[i, j] = np.array([float(x) for x in at.entries()]).reshape(5, self.p, self.n)
+                y[i, j, m] = np.array([float(x) for x in at.entries()]).reshape(y.shape[3:])
                 at = at * E
-        eighth = float(step) ** 2 / 8 * UP
+        eighth = float(rational((step**2 + across**2) / 8).upper()) * UP
         turned = np.swapaxes(y, -1, -2)
-        cross = turned[:, :, 0] @ y[:, :, 2]
-        gram = turned[:, :, 0] @ y[:, :, 0]
-        bend = (2 * turned[:, :, 1] @ y[:, :, 1] + cross + np.swapaxes(cross, -1, -2)) * eighth
+        cross = turned[:, :, :, 0] @ y[:, :, :, 2]
+        gram = turned[:, :, :, 0] @ y[:, :, :, 0]
+        bend = (2 * turned[:, :, :, 1] @ y[:, :, :, 1] + cross + np.swapaxes(cross, -1, -2)) * eighth
         size = np.linalg.norm(y, axis=(-1, -2)) * UP
-        reach = np.sqrt(self._reach(step)) * UP
-        a = [size[:, :, m] * reach for m in range(5)]
+        reach = np.sqrt(self._reach(rational(step + across))) * UP
+        a = [size[..., order] * reach for order in range(5)]
         fourth = (2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2) * UP
-        bent = (2 * size[:, :, 1] ** 2 + 2 * size[:, :, 0] * size[:, :, 2]) * eighth
+        bent = (2 * size[..., 1] ** 2 + 2 * size[..., 0] * size[..., 2]) * eighth
         lost = self.terms * UNIT
-        rounding = lost * size[:, :, 0] ** 2
+        rounding = lost * size[..., 0] ** 2
         return BallTable(self._vec(gram), self._vec(bend), rounding, lost * bent, fourth[:, :-1] * eighth**2 * UP)
 
     def _reach(self, step: Ball) -> float:
@@ -148,13 +179,17 @@ class WorstCase:
         pair = z[..., :, None] * other[..., None, :]
         X = ((pair + np.swapaxes(pair, -1, -2)) / 2)[..., self.upper[0], self.upper[1]]
         nuclear = np.linalg.norm(z, axis=-1) * np.linalg.norm(other, axis=-1) * UP
-        table = self.table(int(cells.grid[0]))
-        forms, nuclear = X.reshape(-1, X.shape[-1]).T, nuclear.ravel()
-        value = table.gram @ forms - table.rounding[..., None] * nuclear
-        bent = table.bend @ forms + table.blur[..., None] * nuclear
-        sink = np.maximum(np.maximum(bent[:, :-1], bent[:, 1:]) + table.fourth[..., None] * nuclear, 0.0) * UP
-        around = np.concatenate([sink[:, :1], np.maximum(sink[:, :-1], sink[:, 1:]), sink[:, -1:]], axis=1)
-        found = [self._path(value - around), self._path(value)]
+        forms, nuclear, costs = X.reshape(-1, X.shape[-1]).T, nuclear.ravel(), list[tuple[Array, Array]]()
+        for table in self.tables(int(cells.grid[0])):
+            value = table.gram @ forms - table.rounding[..., None] * nuclear
+            bent = table.bend @ forms + table.blur[..., None] * nuclear
+            most, beyond = np.maximum(bent[:, :-1], bent[:, 1:]), table.fourth[..., None] * nuclear
+            if moved := bent.shape[2] > 1:
+                most, beyond = np.maximum(most[:, :, :-1], most[:, :, 1:]), beyond[:, :, :-1]
+            sink = _around(np.maximum(most + beyond, 0.0) * UP, 1)
+            low = value - (_around(sink, 2) if moved else sink)
+            costs.append((low.min(axis=2), value.min(axis=2)))
+        found = [self._path(np.asarray(sum(each[1:], start=each[0]))) for each in zip(*costs, strict=True)]
         shape = X.shape[:-1]
         return found[0].reshape(shape), found[1].reshape(shape), self.norms(z, other)
 
@@ -169,7 +204,7 @@ class WorstCase:
     def only(self, mu: float) -> bool:
         """The same where one schedule alone is admissible."""
         total = matrix(np.zeros((self.n, self.n)))
-        first = flint().arb_mat(self.rows.tolist()[: self.p])
+        first = flint().arb_mat(self.groups[0].rows.tolist()[: self.p])
         for offset in self.offsets:
             at = first * self.flow.over(rational(offset))[0]
             total = total + at.transpose() * at
@@ -178,7 +213,7 @@ class WorstCase:
     def proves(self, sigma: float) -> bool:
         """Whether z'Gz >= sigma^2 |Lz|^2 is proven for all directions and schedules."""
         mu = float(np.nextafter(sigma * sigma, np.inf))
-        if self.slack == 0:
+        if self.slack == 0 and not any(group.radius for group in self.groups):
             return self.only(mu)
         n = self.n
         pending = BallCells(np.eye(n), np.zeros((n, n), dtype=int), np.arange(n), np.full(n, FIRST_GRID))
@@ -187,7 +222,8 @@ class WorstCase:
                 raise BudgetSpentError("too many cells are open")
             grid = int(pending.grid.min())
             same = np.flatnonzero(pending.grid == grid)
-            same = same[: max(1, BATCH // (self.k * (grid + 1) * self.signs.shape[1]))]
+            read = sum(group.moves(grid, self.slack) + 1 for group in self.groups)
+            same = same[: max(1, BATCH // (self.k * (grid + 1) * read * self.signs.shape[1]))]
             rest = np.ones(pending.face.size, dtype=bool)
             rest[same] = False
             self.clock.check()
@@ -225,8 +261,15 @@ class WorstCase:
 
     def _stretch(self) -> Array:
         """How much a step along each axis costs: the mean diagonal of G."""
-        gram = self.table(FIRST_GRID).gram[..., self.upper[0] == self.upper[1]]
-        return np.asarray(gram.mean(axis=(0, 1)))
+        grams = [table.gram[..., self.upper[0] == self.upper[1]] for table in self.tables(FIRST_GRID)]
+        return np.asarray(sum(gram.mean(axis=(0, 1, 2)) for gram in grams))
+
+
+def _around(cells: Array, axis: int) -> Array:
+    """What the cells on either side of each knot take at most, along one axis."""
+    cells = np.moveaxis(cells, axis, 0)
+    found = np.concatenate([cells[:1], np.maximum(cells[:-1], cells[1:]), cells[-1:]])
+    return np.moveaxis(found, 0, axis)
 
 
 def prove_worst_sigma(
@@ -236,18 +279,19 @@ def prove_worst_sigma(
     worst: Array,
     seconds: float = 60.0,
     shaves: tuple[float, ...] = SHAVES,
+    late: TimingTolerance = ON_TIME,
 ) -> ProvenSigma:
     """Prove a lower bound of sigma over all schedules of a family: see `nearest_proven`.
 
-    Window, count and spacing are the doubles that the theorem is about; `worst` (k,), the times of a bad schedule,
-    chooses the coordinates, nothing else.
+    Window, count and spacing are the doubles that the theorem is about, and those of `late`, of outputs that are read
+    at times of their own; `worst` (k,), the times of a bad schedule, chooses the coordinates, nothing else.
     """
     if plant.n_states > MOST_STATES:
         return ProvenSigma(0.0, 0.0, "too many states")
 
     def begin(clock: Budget) -> Callable[[float], bool]:
-        rows = SpacedRows(plant, family.window, family.count, family.spacing)
-        basis, _ = rows.coordinates(np.clip(worst - rows.offsets, 0.0, None))
-        return WorstCase(plant, family, basis, clock).proves
+        rows = SpacedRows(plant, family.window, family.count, family.spacing, late)
+        basis, _ = rows.coordinates(np.clip(worst - max(late.early) - rows.offsets, 0.0, None))
+        return WorstCase(plant, family, basis, clock, late).proves
 
     return nearest_proven(guess, seconds, begin, shaves=shaves)

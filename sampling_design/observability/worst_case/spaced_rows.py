@@ -2,22 +2,55 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.bracket import ALLOWANCE
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Integers
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 
 _EPS = float(np.finfo(float).eps)
 _SURVEY = 128  # times at which the plant is looked at to choose coordinates; no bound rests on them
 _GOLDEN = (np.sqrt(5.0) - 1) / 2  # spreads those times evenly and in step with no oscillation
+_LEAST_SLACK = 1e-9  # of the window, where samples move: more schedules than there are, so that cells have a width
+
+
+class OutputGroup(NamedTuple):
+    """Outputs that are read at one time, within `radius` of `lag` after what was planned.
+
+    `C` (p, n) are their rows.
+    """
+
+    outputs: Integers
+    C: Array
+    lag: float
+    radius: float
+
+    def moves(self, cells: int) -> Array:
+        """Even moves from the earliest time to the latest; one where there is nothing to move."""
+        return self.radius * np.linspace(-1.0, 1.0, cells + 1) if self.radius else np.zeros(1)
+
+
+def output_groups(C: Array, late: TimingTolerance) -> list[OutputGroup]:
+    """The outputs that are read together: all, or where they fall apart each that moves, and those that do not."""
+    each = np.arange(len(C))
+    lags, radii = max(late.early) + (np.array(late.late) - late.early) / 2, late.radii
+    if not late.apart:
+        return [OutputGroup(each, C, float(lags[0]), float(radii[0]))]
+    still = [each[radii == 0]] if np.any(radii == 0) else []
+    return [OutputGroup(i, C[i], float(lags[i[0]]), float(radii[i[0]])) for i in (*still, *each[radii > 0][:, None])]
 
 
 class SpacedRows:
     """A plant observed k times within [0, T], at least epsilon apart.
 
         tau_i = u_i + (i - 1) epsilon,    0 <= u_1 <= ... <= u_k <= S = T - (k - 1) epsilon
+
+    These are times as they are planned, from when the earliest reading of a first sample may begin the window. Outputs
+    of group g of sample i are read at tau_i + lag_g + e_gi with any |e_gi| <= radius_g; without a tolerance at tau_i.
 
     Raises ArgumentError if e^{A tau} overflows within the window.
 
@@ -28,6 +61,8 @@ class SpacedRows:
         T and epsilon.
     count : int
         k.
+    late : TimingTolerance
+        How early or late the outputs may be read.
 
     Attributes
     ----------
@@ -35,52 +70,88 @@ class SpacedRows:
         S; 0 where only one schedule is admissible.
     offsets : (k,) array
         (i - 1) epsilon.
+    groups : list of OutputGroup
+    middle : (p, n) array
+        C e^{A lag}: what outputs show at the middle of their times.
     survey : (N p, n) array
         Rows over the whole window, weighted to the size of k samples.
     grade : float
         Relative error granted to C e^{A tau}, of |C||e^{A tau}|.
     """
 
-    def __init__(self, plant: Plant, window: float, count: int, spacing: float) -> None:
+    def __init__(
+        self, plant: Plant, window: float, count: int, spacing: float, late: TimingTolerance = ON_TIME
+    ) -> None:
         self.A, self.C, self.n, self.p = plant.A, plant.C, plant.n_states, plant.n_outputs
         self.plant, self.window, self.count = plant, window, count
         self.spacing, self.offsets = spacing, spacing * np.arange(count)
+        self.groups, whole = output_groups(plant.C, late), window + late.span
+        self.lags, self.moving = np.array([group.lag for group in self.groups]), bool(late)
         slack = window - float(self.offsets[-1])
         self.slack = slack if slack > 8 * _EPS * window else 0.0
+        if self.moving and self.slack < _LEAST_SLACK * window:
+            self.slack = _LEAST_SLACK * window
+            self.window = float(self.offsets[-1]) + self.slack
         with np.errstate(over="ignore", invalid="ignore"):
-            flow = plant.transition(window * np.append((np.arange(_SURVEY) * _GOLDEN) % 1.0, 1.0))
+            flow = plant.transition(whole * np.append((np.arange(_SURVEY) * _GOLDEN) % 1.0, 1.0))
             size = float(np.linalg.norm(self.C)) * float(np.max(np.linalg.norm(flow, axis=(1, 2)), initial=0.0))
         if not np.isfinite(size**4):
             raise ArgumentError(
                 f"`family.window` = {window:.6g} is too long for this plant: e^(A t) overflows within it. "
                 "Split off the fast unstable modes or use a shorter window."
             )
-        self.survey = (self.C @ flow).reshape(-1, self.n) * np.sqrt(count / (_SURVEY + 1))
-        self.grade = ALLOWANCE * max(1.0, float(np.linalg.norm(self.A, 1)) * window / 200)
+        self.survey = np.concatenate(self.C @ flow) * np.sqrt(count / (_SURVEY + 1))
+        self.grade = ALLOWANCE * max(1.0, float(np.abs(self.A).sum(axis=0).max(initial=0.0)) * whole / 200)
+        self.middle = self.at(np.zeros(1))[0] if self.moving else self.C
 
     def times(self, slacks: Array) -> Array:
-        """Sample times (..., k) of slacks (..., k), within [0, T]."""
+        """Planned times (..., k) of slacks (..., k), within [0, T]."""
         return np.minimum(slacks + self.offsets, self.window)
 
-    def at(self, times: Array) -> Array:
-        """Rows C e^{A tau}, shape (*times.shape, p, n)."""
-        return (self.C @ self.plant.transition(times.ravel())).reshape(*times.shape, self.p, self.n)
+    def readings(self, times: Array, moves: Array | float = 0.0) -> Array:
+        """When each group is read (..., G), of planned times (...) and moves (..., G)."""
+        return np.asarray(times[..., None] + self.lags + moves)
 
-    def observed(self, slacks: Array) -> Array:
-        """The matrices O (B, k p, n) of schedules (B, k)."""
-        return self.at(self.times(slacks)).reshape(slacks.shape[0], -1, self.n)
+    def read(self, group: OutputGroup, times: Array) -> Array:
+        """Rows of a group C e^{A t}, shape (*times.shape, p, n)."""
+        return (group.C @ self.plant.transition(times.ravel())).reshape(*times.shape, *group.C.shape)
+
+    def at(self, times: Array, moves: Array | float = 0.0) -> Array:
+        """Rows of planned times, shape (*times.shape, p, n), group by group."""
+        when = self.readings(times, moves)
+        rows = [self.read(group, when[..., g]) for g, group in enumerate(self.groups)]
+        return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=-2)
+
+    def observed(self, slacks: Array, moves: Array | float = 0.0) -> Array:
+        """The matrices O (B, k p, n) of schedules (B, k) and their moves (B, k, G)."""
+        return self.at(self.times(slacks), moves).reshape(slacks.shape[0], -1, self.n)
+
+    def moved(self, times: Array, cells: int) -> list[Array]:
+        """For each group its rows at so many cells of its moves, (*times.shape, q, p, n)."""
+        return [self.read(group, times[..., None] + group.lag + group.moves(cells)) for group in self.groups]
+
+    def least_observed(self, moved: list[Array], directions: Array, cells: int) -> tuple[Array, Array]:
+        """The least |C e^{At} x|^2 (..., D) of rows `moved`, for directions (D, n), and its moves (..., D, G)."""
+        least, picked = [], []
+        for group, rows in zip(self.groups, moved, strict=True):
+            outputs = (rows.reshape(-1, self.n) @ directions.T).reshape(*rows.shape[:-1], len(directions))
+            size = np.sum(outputs**2, axis=-2)
+            best = np.argmin(size, axis=-2)
+            least.append(np.take_along_axis(size, best[..., None, :], axis=-2)[..., 0, :])
+            picked.append(group.moves(cells)[best])
+        return np.asarray(sum(least[1:], start=least[0])), np.stack(picked, axis=-1)
 
     def grid(self, cells: int) -> tuple[Array, Array]:
         """Slacks j S/cells, and the times (k, cells + 1) that each sample can take there."""
         slacks = self.slack * np.arange(cells + 1) / cells
         return slacks, self.times(slacks[:, None]).T
 
-    def coordinates(self, worst: Array | None = None) -> tuple[Array, Array]:
+    def coordinates(self, worst: Array | None = None, moves: Array | float = 0.0) -> tuple[Array, Array]:
         """Return L and its inverse, x = L z: a survey of the window, and the schedule `worst`, see all z alike.
 
         An unobservable direction is scaled as if it were seen n eps of the best seen one.
         """
-        stacked = self.survey if worst is None else np.vstack([self.survey, self.observed(worst[None])[0]])
+        stacked = self.survey if worst is None else np.vstack([self.survey, self.observed(worst[None], moves)[0]])
         _, singular, right = np.linalg.svd(stacked, full_matrices=False)
         scale = np.maximum(singular, max(self.n * _EPS * float(singular[0]), 1e-300))
         return right.T / scale, scale[:, None] * right
@@ -90,11 +161,11 @@ class SpacedRows:
         flow = np.linalg.norm(self.plant.transition(times), axis=(1, 2))
         return np.asarray(self.grade * float(np.linalg.norm(self.C)) * flow)
 
-    def rounding(self, slacks: Array) -> float:
+    def rounding(self, slacks: Array, moves: Array | float = 0.0) -> float:
         """How far rounding in the exponentials can move sigma of one schedule (k,)."""
-        return float(np.linalg.norm(self.blur(self.times(slacks))))
+        return float(np.linalg.norm(self.blur(self.readings(self.times(slacks), moves).ravel())))
 
-    def counts_as_zero(self, sigma: float, slacks: Array) -> bool:
+    def counts_as_zero(self, sigma: float, slacks: Array, moves: Array | float = 0.0) -> bool:
         """Whether sigma of this schedule cannot be distinguished from 0."""
-        least = self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None])))
-        return sigma <= max(least, self.rounding(slacks))
+        least = self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None], moves)))
+        return sigma <= max(least, self.rounding(slacks, moves))

@@ -20,21 +20,27 @@ _LOOKS, _MOST_DIPS = 512, 64  # cells in which dips of one direction are looked 
 _HALVINGS = 52  # of such a cell
 _NUMBERS = 2_000_000  # numbers per batch of starts
 LEAST_CELLS, _MOST_CELLS = 48, 2048  # cells of the slack, where states turn slowly and where fast
+MOVES = 8  # cells of the moves of readings
+_SETTLED = 12  # times that these are cut, to a quarter each
+_AGAIN = 4  # turns of schedule and moves in the refinement
+_STILL = np.zeros((1, 1))
 
 
 class AttainedSchedule(NamedTuple):
-    """A schedule (its slacks), its sigma, and the unit state that it sees least."""
+    """A schedule (its slacks), its sigma, the unit state that it sees least, and the moves of its readings (k, G)."""
 
     sigma: float
     slacks: Array
     direction: Array
+    moves: Array = _STILL
 
 
-def worst_of(rows: SpacedRows, slacks: Array) -> AttainedSchedule:
-    """The worst of the schedules (B, k)."""
-    sigma, direction = _weakest(rows.observed(slacks))
+def worst_of(rows: SpacedRows, slacks: Array, moves: Array = _STILL) -> AttainedSchedule:
+    """The worst of the schedules (B, k), with moves (B, k, G) or one set of them for all."""
+    sigma, direction = _weakest(rows.observed(slacks, moves))
     best = int(np.argmin(sigma))
-    return AttainedSchedule(float(sigma[best]), slacks[best], direction[best])
+    own = np.broadcast_to(moves, (*slacks.shape, len(rows.groups)))[best]
+    return AttainedSchedule(float(sigma[best]), slacks[best], direction[best], own)
 
 
 def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np.inf) -> AttainedSchedule:
@@ -47,53 +53,84 @@ def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np
     speed = float(np.linalg.norm(inverse @ rows.A @ basis, 2))
     cells = int(np.clip(2 ** np.ceil(np.log2(max(4 * rows.slack * speed, 1.0))), LEAST_CELLS, _MOST_CELLS))
     slacks, times = rows.grid(cells)
-    table = rows.at(times).reshape(-1, rows.n)
-    starts = max(4, min(_STARTS, _NUMBERS // table.shape[0]))
+    table = rows.moved(times, MOVES)
+    starts = max(4, min(_STARTS, _NUMBERS // (sum(part.size for part in table) // rows.n)))
     directions = np.vstack([basis.T, rng.standard_normal((starts, rows.n)) @ basis.T])
-    found = _alternate(rows, slacks, table, directions, budget)
+    found, moves = _alternate(rows, slacks, table, directions, budget)
     if rows.spacing < rows.slack / cells:  # clusters are narrower than the grid: where it puts two of them says nothing
-        found = np.vstack([found, *(_clustered(rows, x) for x in directions if not budget.over)])
-    sigma, _ = _weakest(rows.observed(found))
+        more = [_clustered(rows, x) for x in directions if not budget.over]
+        found = np.vstack([found, *(each for each, _ in more)])
+        moves = np.concatenate([moves, *(each for _, each in more)])
+    sigma, _ = _weakest(rows.observed(found, moves))
     order = np.argsort(sigma, kind="stable")[:3]
-    polished = [polish(rows, found[i], rows.slack / cells, budget) for i in order]
+    polished = [polish(rows, found[i], moves[i], rows.slack / cells, budget) for i in order]
     return min(polished, key=lambda a: a.sigma)
 
 
 def search_from(rows: SpacedRows, direction: Array, cells: int) -> AttainedSchedule:
     """Alternate from one direction on a grid of `cells`, then polish."""
     slacks, times = rows.grid(cells)
-    found = _alternate(rows, slacks, rows.at(times).reshape(-1, rows.n), direction[None])
-    return polish(rows, found[0], rows.slack / cells)
+    found, moves = _alternate(rows, slacks, rows.moved(times, MOVES), direction[None])
+    return polish(rows, found[0], moves[0], rows.slack / cells)
 
 
-def polish(rows: SpacedRows, slacks: Array, step: float, budget: Budget = ENDLESS) -> AttainedSchedule:
+def polish(rows: SpacedRows, slacks: Array, moves: Array, step: float, budget: Budget = ENDLESS) -> AttainedSchedule:
     """Improve one schedule off the grid: alternation on shrinking local grids, then Newton on what is free."""
-    best, tight = worst_of(rows, slacks[None]), rows.spacing < step
+    best, tight = worst_of(rows, slacks[None], moves[None]), rows.spacing < step
     for _ in range(_TURNS):
         if budget.over:
             return best
         near = (best.slacks[:, None] + step * np.linspace(-1, 1, 9)).ravel()
         far = _dips(rows, best.direction) if tight else best.slacks  # what the grid has not resolved may be elsewhere
         local = np.unique(np.clip(np.append(near, far), 0.0, rows.slack))
-        outputs = rows.at(rows.times(local[:, None])) @ best.direction
-        path = least_path(np.sum(outputs**2, axis=-1).T[None])[0]
-        trial = worst_of(rows, local[path][None])
+        chosen, moves = _least_path(rows, local, best.direction)
+        trial = worst_of(rows, chosen, _settled(rows, chosen, moves, best.direction))
         if trial.sigma < best.sigma * (1 - 1e-6):
             best = trial
         else:
             step /= 4
             if step < 1e-4 * rows.slack:
                 break
-    return _newton(rows, best, budget)
+    best = _newton(rows, best, budget)
+    for _ in range(_AGAIN if rows.moving else 0):
+        moves = _settled(rows, best.slacks[None], best.moves[None], best.direction)
+        trial = _newton(rows, worst_of(rows, best.slacks[None], moves), budget)
+        if not trial.sigma < best.sigma * (1 - 1e-9):
+            break
+        best = trial
+    return best
 
 
-def _clustered(rows: SpacedRows, direction: Array) -> Array:
+def _least_path(rows: SpacedRows, slacks: Array, direction: Array) -> tuple[Array, Array]:
+    """The schedule (1, k) of these slacks that sees least of a direction, and its moves (1, k, G)."""
+    table = rows.moved(rows.times(slacks[:, None]), MOVES)
+    least, moves = rows.least_observed(table, direction[None], MOVES)
+    path = least_path(least[..., 0].T[None])
+    return slacks[path], moves[path, np.arange(rows.count), 0]
+
+
+def _settled(rows: SpacedRows, slacks: Array, moves: Array, direction: Array) -> Array:
+    """Moves (1, k, G), near these, at which each reading of a schedule (1, k) sees least of a direction."""
+    if not rows.moving:
+        return moves
+    found = moves.copy()
+    for g, group in enumerate(rows.groups):
+        planned, at = rows.times(slacks)[0] + group.lag, moves[0, :, g]
+        for cut in range(_SETTLED if group.radius else 0):
+            tried = at[:, None] + 2 * group.radius / MOVES / 4**cut * np.linspace(-1.0, 1.0, 9)
+            tried = np.clip(tried, -group.radius, group.radius)
+            size = np.sum((rows.read(group, planned[:, None] + tried) @ direction) ** 2, axis=-1)
+            at = np.take_along_axis(tried, np.argmin(size, axis=1)[:, None], axis=1)[:, 0]
+        found[0, :, g] = at
+    return found
+
+
+def _clustered(rows: SpacedRows, direction: Array) -> tuple[Array, Array]:
     """The worst schedule (1, k) for a direction with all samples around its dips; none (0, k) where it has none."""
     slacks = np.unique(_dips(rows, direction))
     if not slacks.size:
-        return np.zeros((0, rows.count))
-    outputs = rows.at(rows.times(slacks[:, None])) @ direction
-    return slacks[least_path(np.sum(outputs**2, axis=-1).T[None])]
+        return np.zeros((0, rows.count)), np.zeros((0, rows.count, len(rows.groups)))
+    return _least_path(rows, slacks, direction)
 
 
 def _dips(rows: SpacedRows, direction: Array) -> Array:
@@ -116,7 +153,7 @@ def _dips(rows: SpacedRows, direction: Array) -> Array:
 def _slopes(rows: SpacedRows, direction: Array, times: Array) -> Array:
     """Half the slope of |C e^{At} x|^2."""
     state = rows.plant.transition(times) @ direction
-    return np.asarray(np.sum((state @ rows.C.T) * (state @ (rows.C @ rows.A).T), axis=1))
+    return np.asarray(np.sum((state @ rows.middle.T) * (state @ (rows.middle @ rows.A).T), axis=1))
 
 
 def _weakest(observed: Array) -> tuple[Array, Array]:
@@ -127,22 +164,29 @@ def _weakest(observed: Array) -> tuple[Array, Array]:
     return sigma, right[:, n - 1]
 
 
-def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array, budget: Budget = ENDLESS) -> Array:
-    """Schedules (B, k) on a grid: from each direction its worst times, from these their worst direction, in turn."""
-    count, last = directions.shape[0], np.full(directions.shape[0], np.inf)
+def _alternate(
+    rows: SpacedRows, slacks: Array, table: list[Array], directions: Array, budget: Budget = ENDLESS
+) -> tuple[Array, Array]:
+    """Schedules (B, k) on a grid: from each direction its worst times, from these their worst direction, in turn.
+
+    And their moves (B, k, G).
+    """
+    which, last = np.arange(directions.shape[0])[:, None], np.full(directions.shape[0], np.inf)
     for _ in range(_TURNS):
-        outputs = (table @ directions.T).reshape(rows.count, slacks.size, rows.p, count)
-        found = slacks[least_path(np.moveaxis(np.sum(outputs**2, axis=2), 2, 0))]
-        sigma, directions = _weakest(rows.observed(found))
+        least, moves = rows.least_observed(table, directions, MOVES)
+        path = least_path(np.moveaxis(least, 2, 0))
+        found, own = slacks[path], moves[np.arange(rows.count), path, which]
+        sigma, directions = _weakest(rows.observed(found, own))
         if np.all(sigma >= last * (1 - 1e-6)) or budget.over:
             break
         last = sigma
-    return found
+    return found, own
 
 
 def _newton(rows: SpacedRows, best: AttainedSchedule, budget: Budget) -> AttainedSchedule:
-    """Newton on lambda = sigma^2 over the samples that no constraint holds; ties move together."""
-    tie = _TIE * rows.slack
+    """Newton on lambda = sigma^2 over the samples and moves that no constraint holds; ties move together."""
+    tie, radii = _TIE * rows.slack, np.array([group.radius for group in rows.groups])
+    shape = rows.count, len(rows.groups)
     for _ in range(_NEWTON_STEPS):
         if budget.over:
             break
@@ -150,17 +194,20 @@ def _newton(rows: SpacedRows, best: AttainedSchedule, budget: Budget) -> Attaine
         group = np.concatenate([[0], np.cumsum(np.diff(u) > tie)])
         first, last = u[0] <= tie, u[-1] >= rows.slack - tie
         free = [g for g in range(group[-1] + 1) if not (first and g == 0) and not (last and g == group[-1])]
-        if not free:
+        moved = np.eye(rows.count * shape[1])[(np.abs(best.moves) < radii * (1 - _TIE)).ravel()]
+        if not free and not len(moved):
             break
-        together = (group[:, None] == np.array(free)).astype(float)
+        together = (group[:, None] == np.array(free)).astype(float).reshape(rows.count, len(free))
+        read = np.hstack([np.repeat(together, shape[1], axis=0), moved.T])  # what each reading's time goes with
         gradient, hessian = _derivatives(rows, best)
-        gradient, hessian = together.T @ gradient, together.T @ hessian @ together
+        gradient, hessian = read.T @ gradient, read.T @ hessian @ read
         values, vectors = np.linalg.eigh(hessian)
         damping = max(float(np.max(np.abs(values))), 1e-300) * _DAMPING[:, None]
         step = -((vectors.T @ gradient) / (np.abs(values) + damping)) @ vectors.T
-        trial = u + step @ together.T
+        trial = u + step[:, : len(free)] @ together.T
         trial = np.maximum.accumulate(np.clip(trial, 0.0, rows.slack), axis=1)
-        better = worst_of(rows, trial)
+        moves = best.moves + (step[:, len(free) :] @ moved).reshape(-1, *shape)
+        better = worst_of(rows, trial, np.clip(moves, -radii, radii))
         if not better.sigma < best.sigma * (1 - 1e-12):
             break
         best = better
@@ -168,16 +215,20 @@ def _newton(rows: SpacedRows, best: AttainedSchedule, budget: Budget) -> Attaine
 
 
 def _derivatives(rows: SpacedRows, at: AttainedSchedule) -> tuple[Array, Array]:
-    """Gradient (k,) and Hessian (k, k) of lambda_min(O'O) with respect to the sample times."""
-    here = rows.at(rows.times(at.slacks))
+    """Gradient and Hessian of lambda_min(O'O) with respect to the times of the readings, k G of them."""
+    here = rows.at(rows.times(at.slacks), at.moves)
     _, singular, right = np.linalg.svd(here.reshape(-1, rows.n), full_matrices=True)
     level = np.zeros(rows.n)
     level[: singular.size] = singular**2
     y, dy, ddy = (m @ right.T for m in (here, here @ rows.A, here @ rows.A @ rows.A))
-    x = rows.n - 1
-    gradient = 2 * np.sum(y[..., x] * dy[..., x], axis=1)
+    x, begun = rows.n - 1, np.cumsum([0, *(group.outputs.size for group in rows.groups[:-1])])
+
+    def summed(parts: Array) -> Array:
+        return np.asarray(np.add.reduceat(parts, begun, axis=1)).reshape(-1, *parts.shape[2:])
+
+    gradient = 2 * summed(y[..., x] * dy[..., x])
     # d(lambda)/dt_i of x'G_i y between the weakest direction and each other one
-    mixed = np.sum(dy[..., x, None] * y + y[..., x, None] * dy, axis=1)[:, :x]
+    mixed = summed(dy[..., x, None] * y + y[..., x, None] * dy)[:, :x]
     gap = np.maximum(level[:x] - level[x], 1e-12 * max(float(level[0]), 1e-300))
-    hessian = np.diag(2 * np.sum(dy[..., x] ** 2 + y[..., x] * ddy[..., x], axis=1)) - 2 * (mixed / gap) @ mixed.T
+    hessian = np.diag(2 * summed(dy[..., x] ** 2 + y[..., x] * ddy[..., x])) - 2 * (mixed / gap) @ mixed.T
     return gradient, hessian

@@ -108,7 +108,7 @@ class _SphereSearch:
 
     def __init__(self, rows: SpacedRows, found: AttainedSchedule, rtol: float) -> None:
         self.rows, self.best, self.rtol = rows, found, rtol
-        self.tables = SphereTables(rows, found.slacks, rtol / 100)
+        self.tables = SphereTables(rows, found.slacks, rtol / 100, found.moves)
         n, k = rows.n, rows.count
         self.sides = np.array([[j for j in range(n) if j != face] for face in range(n)], dtype=int).reshape(n, n - 1)
         cells = self.tables.least_cells
@@ -151,7 +151,7 @@ class _SphereSearch:
                 status = "budget"
             results.append(part if status else self._worked(part))
         self.open = joined(results)
-        if not status and self.rows.counts_as_zero(self.best.sigma, self.best.slacks):
+        if not status and self.rows.counts_as_zero(self.best.sigma, self.best.slacks, self.best.moves):
             status = "zero"
         if not status and progress is not None:
             share = 1 - self.open.volume() - self.stuck.volume()
@@ -187,7 +187,8 @@ class _SphereSearch:
         grid, width = cells.grid[order], width[order]
         parts, low = [], 0
         while low < order.size:
-            most = max(1, _BATCH // (self.rows.count * 2 ** (self.rows.n - 1) * int(width[low])))
+            room = _BATCH // (self.tables.copies(int(grid[low])) * self.rows.count * 2 ** (self.rows.n - 1))
+            most = max(1, room // int(width[low]))
             stop = min(int(np.searchsorted(grid, grid[low], side="right")), low + most)
             stop = low + int(np.searchsorted(width[low:stop], 1.3 * width[low] + 2, side="right"))
             parts.append(cells.take(order[low:stop]))
@@ -337,12 +338,14 @@ class _Batch:
         self.start = np.minimum(cells.first, grid + 1 - self.width)
         point = self.start[:, :, None] + np.arange(self.width)
         self.outside = (point < cells.first[:, :, None]) | (point > cells.last[:, :, None])
-        table, blur, at = tables.at(grid, point)
-        largest = self._starts(tables.starts(grid), table.eighth[at[:, -1]].max(axis=1))
+        groups = [tables.at(grid, point, g) for g in range(len(search.rows.groups))]
+        largest = self._starts(tables.starts(grid), np.max(tables.steps(grid, point[:, -1]) ** 2 / 8, axis=1))
         if tables.slab.size:
             most = np.sqrt(search.wanted) * tables.longest(z, cells.half)
-            self.outside |= table.least_observed(z, cells.half, at) > most[:, None, None]
-        self._samples(table, blur, at)
+            for table, _, at in groups:
+                least = table.least_observed(z, cells.half, at).reshape(*point.shape, -1).min(axis=3)
+                self.outside |= least > most[:, None, None]
+        self._samples(groups)
         self.room = tables.room(grid, point[:, -1])
         before = np.minimum(self.room.astype(int).T, len(largest) - 1)
         after, own = np.minimum(before + 1, len(largest) - 1), np.arange(len(z))
@@ -368,20 +371,32 @@ class _Batch:
         self.most = np.maximum(found[0].max(axis=1), 0.0)
         return so_far(found, np.maximum)
 
-    def _samples(self, table: CurveTable, blur: Array, at: Integers) -> None:
-        """What each sample adds at each corner, lowered by all that bends and rounds, and the least sums."""
-        z, half, reach = self.cells.centre, self.cells.half, self.reach[:, None, None]
-        along, bent, of_z = table.against(z, at)
-        self.own_cost = np.einsum("bknw,bn->bkw", along, z)
-        bent = np.einsum("bknw,bn->bkw", bent, z) + np.einsum("bknw,bn->bkw", np.abs(bent), half)
-        cell = at[..., :-1]
-        sink = np.maximum(bent[..., :-1], bent[..., 1:]) * table.eighth[cell] + table.beyond[cell] * reach
-        self.sink = around(np.maximum(sink, 0.0))
-        self.lost = blur[at] * self.most[:, None, None] + table.rounded(z, half, of_z, at)
-        base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
-        self.cost = self._corners(base.transpose(1, 2, 0), along.transpose(1, 3, 0, 2))
+    def _samples(self, groups: list[tuple[CurveTable, Array, Integers]]) -> None:
+        """What each sample adds at each corner, lowered by all that bends and rounds, and the least sums.
+
+        Of each group of its outputs that which adds least, wherever it is read: a chord over its moves and over time.
+        """
+        z, half, reach, shape = self.cells.centre, self.cells.half, self.reach[:, None, None, None], self.outside.shape
+        parts, rows = [], []
+        for table, blur, place in groups:
+            along, bent, of_z = table.against(z, place)
+            at, many = place.reshape(*shape, -1), place.shape[2] // shape[2]
+            own = np.einsum("bknw,bn->bkw", along, z).reshape(at.shape)
+            bent = np.einsum("bknw,bn->bkw", bent, z) + np.einsum("bknw,bn->bkw", np.abs(bent), half)
+            sink = _sunk(bent.reshape(at.shape), table, at, reach)
+            lost = blur[at] * self.most[:, None, None, None] + table.rounded(z, half, of_z, place).reshape(at.shape)
+            base = np.where(self.outside[..., None], np.inf, own - sink - lost)
+            cost = self._corners(base.reshape(*shape[:2], -1).transpose(1, 2, 0), along.transpose(1, 3, 0, 2))
+            cost = cost.reshape(cost.shape[0], shape[2], many, *cost.shape[2:])
+            cost = cost.min(axis=2) if many > 1 else cost[:, :, 0]
+            pick = np.argmin(np.where(self.outside[..., None], own, base), axis=3)[..., None]
+            parts.append((cost, own.min(axis=3), *(np.take_along_axis(a, pick, axis=3)[..., 0] for a in (sink, lost))))
+            rows.append(table.rows[place].reshape(*shape, -1, z.shape[1]) / np.sqrt(many))
+        self.cost, self.own_cost, self.sink, self.lost = (
+            sum(each[1:], start=each[0]) for each in zip(*parts, strict=True)
+        )
+        self.rows = np.concatenate(rows, axis=3) if len(rows) > 1 else rows[0]
         self.so_far = sums_so_far(self.cost, self.start)
-        self.rows = table.rows[at]
 
     def _corners(self, centre: Array, along: Array) -> Array:
         """What is `centre` (..., B) at z0 and of slope `along` (..., B, n), at all corners: (..., B, c)."""
@@ -440,6 +455,22 @@ class _Batch:
         weight = np.where(self.outside, 0.0, 1.0)
         weight /= np.sum(weight, axis=2, keepdims=True)
         return np.asarray(np.einsum("bkwpn,bkw->bn", self.rows**2, weight))
+
+
+def _sunk(bent: Array, table: CurveTable, at: Integers, reach: Array) -> Array:
+    """What bends can take below the chords of the cells next to each knot, (B, k, W, q) of points and moves.
+
+    An axis with one knot alone has no cells: nothing happens along it.
+    """
+    cell, most, wide = at, bent, [axis for axis in (2, 3) if at.shape[axis] > 1]
+    for axis in wide:
+        low, high = np.arange(at.shape[axis] - 1), np.arange(1, at.shape[axis])
+        cell = np.take(cell, low, axis)
+        most = np.maximum(np.take(most, low, axis), np.take(most, high, axis))
+    sink = np.maximum(most * table.eighth[cell] + table.beyond[cell] * reach, 0.0) if wide else 0.0 * bent
+    for axis in wide:
+        sink = np.swapaxes(around(np.swapaxes(sink, axis, 3)), axis, 3)
+    return sink
 
 
 def around(cells: Array) -> Array:

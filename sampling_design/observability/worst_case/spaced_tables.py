@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_rows import OutputGroup, SpacedRows
 from sampling_design.records.arrays import Array, Integers
 
 _EPS = float(np.finfo(float).eps)
@@ -14,6 +14,7 @@ _TINY = float(np.finfo(float).tiny)
 _NUMBERS = 6_000_000  # most numbers in a table of all points of a grid; of finer ones those that are asked for are made
 MOST_CELLS = 2**40  # cells of the finest grid, about
 _WIDER = 0.25  # a first cell is no wider than this part of its time since the first sample, or of the spacing
+_MOST_MOVES = 512  # cells of the moves of a reading
 _MOST_STARTS = 1024  # starts of a table at most
 _LOOKS = 64  # starts at which the length of a state at the window's start is looked at
 _FARTHEST = 20.0  # powers of e by which it may grow between two of them; beyond, the first sample's slab is not used
@@ -27,7 +28,7 @@ class CurveTable(NamedTuple):
     rows, turning, bending : (M, p, n) arrays
         R and its first two derivatives: G'' = 2 turning'turning + rows'bending + bending'rows.
     eighth : (M,) array
-        h^2/8.
+        h^2/8; with the width of a cell of moves squared beside h^2, where readings move.
     beyond : (M,) array
         (h^2/8)^2 times a proven bound on |d^4 G/dt^4| within the cell.
     size, wrong : (M,) arrays
@@ -116,35 +117,44 @@ class SphereTables:
     e, `wrong` for that of their product with L: |a + b|^2 <= 2 |a|^2 + 2 |b|^2.
     """
 
-    def __init__(self, rows: SpacedRows, worst: Array, forgiven: float) -> None:
-        self.rows, self.forgiven = rows, forgiven
+    def __init__(self, rows: SpacedRows, worst: Array, forgiven: float, moves: Array | float = 0.0) -> None:
+        self.rows, self.forgiven, self._moves = rows, forgiven, moves
         with np.errstate(all="ignore"):
             there, back = rows.plant.transition(np.array([rows.slack, -rows.slack]))
             self.pulled = bool(np.linalg.norm(there) * np.linalg.norm(back) < _CONDITION)
-        self.basis, inverse = rows.coordinates(worst - worst[0] if self.pulled else worst)
+        self.basis, inverse = rows.coordinates(worst - worst[0] if self.pulled else worst, moves)
         turn = self._rotation(worst)
         self.basis, inverse = self.basis @ turn, turn.T @ inverse
         inner = inverse @ rows.A @ self.basis
         self.speed = float(np.linalg.norm(inner, 2))
         # the logarithmic norm bounds |e^{+-A t}| far better than the norm: oscillators hardly grow
         self.growth = max(0.0, float(np.abs(np.linalg.eigvalsh((inner + inner.T) / 2)).max(initial=0.0)))
+        self._drift = self._moved_by(rows) if rows.moving else 0.0
         self._whole = max(2, _NUMBERS // (3 * rows.count * rows.p * rows.n))
         self._near = worst - worst[0]
         self._first = self._first_knots()
-        self._kept: dict[int, tuple[CurveTable, Array]] = {}
+        self._kept: dict[tuple[int, int], tuple[CurveTable, Array]] = {}
         self._starts: dict[int, StartTable] = {}
+
+    def _moved_by(self, rows: SpacedRows) -> float:
+        """At least what readings can differ from those at the middle of their times, |z| = 1: |RA| times the move."""
+        slopes = [np.linalg.norm(rows.read(group, np.array(group.lag)) @ rows.A @ self.basis) for group in rows.groups]
+        radii = np.array([group.radius for group in rows.groups])
+        with np.errstate(over="ignore"):
+            drifts = radii * slopes * np.exp(self.growth * radii)
+        return float(np.linalg.norm(drifts) + np.linalg.norm(rows.blur(rows.lags)) * np.linalg.norm(self.basis))
 
     def _rotation(self, worst: Array) -> Array:
         """The rotation to the axes that the first sample sees, then to those of the worst schedule known.
 
         Cells lie along these axes: thin where schedules see much, long where they see little.
         """
-        seen = self.rows.observed((worst - worst[0] if self.pulled else worst)[None])[0] @ self.basis
+        seen = self.rows.observed((worst - worst[0] if self.pulled else worst)[None], self._moves)[0] @ self.basis
         self.slab = np.zeros(0)
         self._states = self._back() if self.pulled else np.zeros((0, self.rows.n, self.rows.n))
         if not len(self._states):
             return np.asarray(np.linalg.svd(seen)[2].T)
-        _, sees, axes = np.linalg.svd(self.rows.C @ self.basis)
+        _, sees, axes = np.linalg.svd(self.rows.middle @ self.basis)
         self.slab = sees[sees > _UNOBSERVED * sees[0]]
         first, rest = axes[: self.slab.size].T, axes[self.slab.size :].T
         within = np.linalg.svd(seen @ rest)[2].T if rest.shape[1] else np.zeros((0, 0))
@@ -171,7 +181,8 @@ class SphereTables:
         """
         longest = self.longest(centre, half)
         away = np.linalg.norm(np.abs(centre) + half, axis=1)
-        lost = 4 * self.rows.n * _EPS * float(np.linalg.norm(self.rows.C) * np.linalg.norm(self.basis)) * away
+        lost = 4 * self.rows.n * _EPS * float(np.linalg.norm(self.rows.middle) * np.linalg.norm(self.basis)) * away
+        lost = lost + self._drift * away
         return np.asarray((np.sqrt(wanted) * longest + lost)[:, None] / self.slab)
 
     def longest(self, centre: Array, half: Array) -> Array:
@@ -206,28 +217,47 @@ class SphereTables:
         """The slacks of points of a grid of `cells` cells."""
         return np.interp(point / (cells // self.least_cells), np.arange(self.least_cells + 1), self._first)
 
-    def at(self, cells: int, point: Integers) -> tuple[CurveTable, Array, Integers]:
-        """Rows C e^{At} L, their blur, and where in these tables the points (B, k, W) of a grid stand.
+    def steps(self, cells: int, point: Integers) -> Array:
+        """How wide the cells are that follow these points; 0 at the end."""
+        return self.knot(cells, np.minimum(point + 1, cells)) - self.knot(cells, point)
 
-        `blur` is what rounding in the exponentials can take from x'Gx, |x| = 1, beyond the part `forgiven`.
+    def moves(self, cells: int, group: OutputGroup) -> int:
+        """Cells of a group's moves that go with a grid of `cells` cells: no finer than those, and as a first cell."""
+        first = max(4 * self.speed * group.radius, 1.0) * (cells / self.least_cells)
+        return int(np.clip(np.ceil(min(first, 2 * group.radius * cells / self.rows.slack)), 1, _MOST_MOVES))
+
+    def copies(self, cells: int) -> int:
+        """How many rows there are at each point of a grid, of all groups and their moves."""
+        return sum(group.moves(self.moves(cells, group)).size for group in self.rows.groups)
+
+    def at(self, cells: int, point: Integers, which: int = 0) -> tuple[CurveTable, Array, Integers]:
+        """Rows C e^{At} L of a group, their blur, and where in these tables the points (B, k, W) of a grid stand.
+
+        With q moves of its readings, (B, k, W q). `blur` is what rounding in the exponentials can take from x'Gx,
+        |x| = 1, beyond the part `forgiven`.
         """
+        group, size = self.rows.groups[which], self.rows.count * (cells + 1)
+        moves = group.moves(self.moves(cells, group)).size
         place = np.arange(self.rows.count)[:, None] * (cells + 1) + point
-        if cells <= self._whole:
-            if cells not in self._kept:
-                self._kept[cells] = self._sampled(cells, np.arange(self.rows.count * (cells + 1)))
-            return *self._kept[cells], place
+        place = (place[..., None] + size * np.arange(moves)).reshape(*place.shape[:-1], -1)
+        if cells * moves <= self._whole:
+            if (cells, which) not in self._kept:
+                self._kept[cells, which] = self._sampled(cells, np.arange(size * moves), group)
+            return *self._kept[cells, which], place
         places, at = np.unique(place, return_inverse=True)
-        return *self._sampled(cells, places), at.reshape(place.shape)
+        return *self._sampled(cells, places, group), at.reshape(place.shape)
 
-    def _sampled(self, cells: int, places: Integers) -> tuple[CurveTable, Array]:
-        """Table and blur of sample places // (cells + 1) at point places % (cells + 1)."""
-        sample, point = np.divmod(places, cells + 1)
-        slack = self.knot(cells, point)
-        times = np.minimum(slack + self.rows.offsets[sample], self.rows.window)
-        step = self.knot(cells, np.minimum(point + 1, cells)) - slack
-        widest = np.maximum(step, slack - self.knot(cells, np.maximum(point - 1, 0)))
+    def _sampled(self, cells: int, places: Integers, group: OutputGroup) -> tuple[CurveTable, Array]:
+        """Table and blur of sample places // (cells + 1) at point places % (cells + 1), move after move."""
+        move, place = np.divmod(places, self.rows.count * (cells + 1))
+        sample, point = np.divmod(place, cells + 1)
+        slack, moves = self.knot(cells, point), group.moves(self.moves(cells, group))
+        times = np.minimum(slack + self.rows.offsets[sample], self.rows.window) + group.lag + moves[move]
+        step, across = self.steps(cells, point), 2 * group.radius / max(moves.size - 1, 1)
+        widest = np.maximum(step, slack - self.knot(cells, np.maximum(point - 1, 0))) + across
         blur = 2 * self.rows.blur(times) ** 2 / self.forgiven / (1 - self.forgiven)
-        return self._curve(self.rows.at(times), step, self.rows.A, widest, self.rows.blur(times)), blur
+        curve = self._curve(self.rows.read(group, times), step, self.rows.A, widest, self.rows.blur(times), across)
+        return curve, blur
 
     def starts(self, cells: int) -> StartTable:
         """The starts that go with a grid of `cells` cells; one alone where the state is not carried back."""
@@ -258,8 +288,13 @@ class SphereTables:
         beyond = float(np.max(curve.beyond)) / eighth if cells else 0.0
         return StartTable(seen, np.swapaxes(seen, 1, 2) @ seen, -second, eighth, beyond, curve.rounding + lost)
 
-    def _curve(self, values: Array, step: Array, A: Array, widest: Array, blur: Array) -> CurveTable:
-        """The table of M e^{At} L, given M e^{At} (M, p, n) at the knots, the widths of their cells, and its blur."""
+    def _curve(
+        self, values: Array, step: Array, A: Array, widest: Array, blur: Array, across: float = 0.0
+    ) -> CurveTable:
+        """The table of M e^{At} L, given M e^{At} (M, p, n) at the knots, the widths of their cells, and its blur.
+
+        `across` is the width of cells of moves: of t + e both are chords, one after the other.
+        """
         p, n = values.shape[-2:]
         derivative = [values @ self.basis]
         wrong = 2 * (n * _EPS * np.linalg.norm(values, axis=(1, 2)) * np.linalg.norm(self.basis)) ** 2
@@ -269,10 +304,10 @@ class SphereTables:
             values = values @ A
             derivative.append(values @ self.basis)
         size = [np.linalg.norm(d, axis=(1, 2)) for d in derivative]
-        a = [d * np.exp(self.growth * step) for d in size]
+        a = [d * np.exp(self.growth * (step + across)) for d in size]
         fourth = 2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2
         rounding = 8 * (self.rows.count + n + p) ** 1.5 * _EPS * size[0] ** 2
-        seen, turning, bending, eighth = *derivative[:3], step**2 / 8
+        seen, turning, bending, eighth = *derivative[:3], (step**2 + across**2) / 8
         return CurveTable(
             *(seen, turning, bending, eighth),
             beyond=fourth * eighth**2,

@@ -23,7 +23,13 @@ from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.periodicity import within_periods
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, AttainedSchedule, search_worst, worst_of
+from sampling_design.observability.worst_case.spaced_search import (
+    LEAST_CELLS,
+    MOVES,
+    AttainedSchedule,
+    search_worst,
+    worst_of,
+)
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
@@ -35,9 +41,9 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import counted, short
+from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.signatures import open_verb
-from sampling_design.schedules.jitter import Timing, TimingTolerance
+from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 MOST_MEMORY = 2.0  # GiB that a search over the times of all samples may take
@@ -76,9 +82,15 @@ class WorstCaseSigma(SigmaBracket):
     lower : float
         Proven for every admissible schedule at real times.
     upper : float
-        Attained at `witness`.
+        Attained at `witness`, or at `readings`.
     witness : (k,) array
-        Sample times within [0, T], relative to the window's start.
+        Sample times within [0, T], relative to the window's start. Of outputs with tolerances of their own planned
+        ones, and the window is as much longer as they are early and late.
+    readings : (k, p) array or None
+        When each output of these samples is read; None where samples are read at the times themselves.
+    timing_tolerance : dict or None
+        Of outputs with tolerances of their own: `family` is the rule of what is planned, and `lower` is for all times
+        at which each may be read. None where samples are one reading, and `family` the rule of real times.
     direction : (n,) array
         Unit state at the window's start that `witness` sees least.
     status : str
@@ -105,19 +117,22 @@ class WorstCaseSigma(SigmaBracket):
     family: SpacedWindows
     profile: WorstCaseProfile
     time_unit: str = field(default="s", kw_only=True)
+    late: TimingTolerance = field(default=ON_TIME, kw_only=True)
+    readings: Array | None = field(default=None, kw_only=True)
 
     _plain = (
-        "lower upper witness direction closed status method cells rtol rigorous family{window count spacing} time_unit "
-        "deviations coordinates claim"
+        "lower upper witness readings? direction closed status method cells rtol rigorous family{window count spacing} "
+        "timing_tolerance? time_unit deviations coordinates claim"
     )
     _answers = (
         "the least sigma over all schedules with {_counted} in {family.window} {time_unit}, {family.spacing} "
-        "{time_unit} apart",
+        "{time_unit} apart{_read}",
         "{_grounds}",
         SigmaBracket._good,
         SigmaBracket._balls.format(at="the schedule `.witness`"),
     )
     _table = {
+        "samples come": "{_late}",
         "worst times": "{witness} {time_unit}",
         "worst state": "{direction}",
         "status": "{status}",
@@ -126,6 +141,17 @@ class WorstCaseSigma(SigmaBracket):
 
     def _counted(self) -> str:
         return counted(self.family.count, "sample")
+
+    @property
+    def timing_tolerance(self) -> Plain:
+        """How early or late each output may be read, where they have tolerances of their own; else None."""
+        return self.late.plain if self.late else None
+
+    def _late(self) -> str | None:
+        return self.late.describe(self.time_unit) if self.late else None
+
+    def _read(self) -> str:
+        return said_of_readings(self.family, self.late, self.time_unit)
 
     def _method(self) -> str:
         return f"{self.method}, {self.cells} cells" if self.cells else self.method
@@ -136,7 +162,7 @@ class WorstCaseSigma(SigmaBracket):
         f = self.family
         return Claim(
             f"sigma_n(O_s) >= {short(self.lower)} for all schedules with at least {f.count} samples, at least "
-            f"{short(f.spacing)} apart, in every window of {short(f.window)}",
+            f"{short(f.spacing)} apart, in every window of {short(f.window)}{self._read()}",
             theorem="Theorem 17" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=(
                 "the plant's matrices are exact",
@@ -150,7 +176,9 @@ class WorstCaseSigma(SigmaBracket):
         f, unit = self.family, self.time_unit
         if self.status == "no states":
             return NO_STATES
-        many = f"{self._counted()}, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}"
+        many = (
+            f"{self._counted()}, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}{self._read()}"
+        )
         if self.status == "too few samples":
             return f"Sigma is 0: fewer measurements than the {counted(self.direction.size, 'state')} ({many})."
         where = f"The worst times are {short(self.witness)} {unit}"
@@ -159,6 +187,12 @@ class WorstCaseSigma(SigmaBracket):
             return f"{where}; {measured}, which rounding does not tell from zero."
         proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
+
+
+def said_of_readings(family: SpacedWindows, late: TimingTolerance, unit: str) -> str:
+    """What is said of outputs at times of their own; nothing where samples are one reading."""
+    wider = f"{short(family.window + late.span)} {unit}"
+    return f", as planned; each output {late.describe(unit)}, over windows of {wider}" if late else ""
 
 
 @open_verb(SigmaBracket)
@@ -200,9 +234,11 @@ def worst_case_sigma(
         Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
         least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
         Default: all states.
-    timing_tolerance : float, or pair (early, late) [plant.time_unit]
+    timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
         How early or late each planned sample may be. Real times then keep `family.loosened(timing_tolerance)`, windows
-        so much longer and samples so much nearer, and that rule is judged: `upper` is its own.
+        so much longer and samples so much nearer, and that rule is judged: `upper` is its own. By output: each is read
+        at a time of its own, at any in [t - early, t + late] of a planned t. `family` is the rule of planned times,
+        windows are max early + max late longer, and `upper` is attained at times that are allowed.
 
     Returns
     -------
@@ -253,29 +289,43 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    late, family = TimingTolerance.of(timing_tolerance), family.loosened(timing_tolerance)
-    plant = part_for(plant, of, family.window)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
+    family, apart = of_real_times(family, late)
+    plant = part_for(plant, of, family.window + apart.span)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = checks.generator(rng)
     require_moderate(plant)
-    _require_memory(plant, family)
+    _require_memory(plant, family, apart)
     own, limit = plant.scaled() if plant.has_scales else plant, Budget(seconds)
-    result = _bracketed(own, within_periods(plant, family), tolerance, seconds, generator, progress)
+    result = _bracketed(own, within_periods(plant, family), apart, tolerance, seconds, generator, progress)
     left = limit.left
     if rigorous:
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
 
-        proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds)
+        proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds, late=apart)
         result = in_balls(result, proof)
     coordinates = coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
-    least = partial(_least, own, plant, tolerance)
+    least = partial(_least, own, plant, apart, tolerance)
     beside = partial(deviations_of_family, least, family, late, result.lower, left, plant.time_unit)
     return replace(result, family=family, coordinates=coordinates, beside=beside)
 
 
-def _least(own: Plant, plant: Plant, rtol: float, family: SpacedWindows, seconds: float) -> float:
+def of_real_times(family: SpacedWindows, late: TimingTolerance) -> tuple[SpacedWindows, TimingTolerance]:
+    """Return the rule that is judged, and the tolerance that is left: of samples that are one reading none.
+
+    Raises ArgumentError if samples could change places.
+    """
+    if not (late and late.apart and len(late.names) > 1):
+        return family.loosened(late.plain if not late.apart else [late.early[0], late.late[0]]), ON_TIME
+    late.require_order(family.spacing)
+    return family, late
+
+
+def _least(
+    own: Plant, plant: Plant, late: TimingTolerance, rtol: float, family: SpacedWindows, seconds: float
+) -> float:
     """Proven sigma of a rule."""
-    return _bracketed(own, within_periods(plant, family), rtol, seconds, checks.generator(0), None).lower
+    return _bracketed(own, within_periods(plant, family), late, rtol, seconds, checks.generator(0), None).lower
 
 
 def deviations_of_family(
@@ -288,13 +338,14 @@ def deviations_of_family(
 ) -> SigmaDeviations | None:
     """Prove what is left of a family's `sigma` if samples come early or late, or one is lost; None without `seconds`.
 
-    `least(family, seconds)` proves sigma of a rule. As early or late as was `asked`, which `family` is loosened by and
-    `sigma` proven for, else by a share of the spacing. Windows that are early and late together longer hold all that
-    was planned in the shorter ones, at a spacing that is as much less. In windows of the family's own length real
-    times hold what was planned in one that is as much shorter, less than the spacing: all samples but one. A rule with
-    one sample fewer and less spacing holds where one is lost, too.
+    `least(family, seconds)` proves sigma of a rule. As early or late as was `asked`, which `family` is loosened by
+    (but for outputs with tolerances of their own, which `least` counts) and `sigma` proven for, else by a share of the
+    spacing. Windows that are early and late together longer hold all that was planned in the shorter ones, at a
+    spacing that is as much less. In windows of the family's own length real times hold what was planned in one that is
+    as much shorter, less than the spacing: all samples but one. A rule with one sample fewer and less spacing holds
+    where one is lost, too.
     """
-    limit = Budget(seconds)
+    limit, planned = Budget(seconds), len(asked.names) > 1
     late = asked or TimingTolerance.of(SHARE * family.spacing)
     wider = sigma if asked else least(family.loosened(late.plain), limit.left)
     nearer = family.spacing if asked else family.spacing - late.span
@@ -302,7 +353,8 @@ def deviations_of_family(
     if limit.over:
         return None
     lost = min(sigma, least(replace(family, count=fewer, spacing=nearer), limit.left)) if fewer else 0.0
-    return SigmaDeviations(late, sigma if asked else lost, min(sigma, wider), lost, None, time_unit, bool(asked))
+    same = sigma if asked and not planned else lost
+    return SigmaDeviations(late, same, min(sigma, wider), lost, None, time_unit, bool(asked))
 
 
 def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:
@@ -317,10 +369,10 @@ def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | 
     return rtol_and_seconds(rtol, budget)
 
 
-def _require_memory(plant: Plant, family: SpacedWindows) -> None:
+def _require_memory(plant: Plant, family: SpacedWindows, late: TimingTolerance) -> None:
     """Refuse a number of samples whose Hessian and tables do not fit into memory, before anything is tried."""
-    k = float(family.count)
-    need = 8 * (3 * k * k + k * LEAST_CELLS * (plant.n_outputs * plant.n_states + plant.n_states + 4)) / 2**30
+    k, read = float(family.count), plant.n_outputs * (MOVES + 1 if late else 1)
+    need = 8 * (3 * k * k + k * LEAST_CELLS * (read * plant.n_states + plant.n_states + 4)) / 2**30
     if need > MOST_MEMORY:
         raise ArgumentError(
             f"`family` asks for {family.count} samples in a window, which would take {need:.3g} GiB; at most "
@@ -331,19 +383,18 @@ def _require_memory(plant: Plant, family: SpacedWindows) -> None:
 def _bracketed(
     plant: Plant,
     family: SpacedWindows,
+    late: TimingTolerance,
     rtol: float,
     seconds: float,
     rng: np.random.Generator,
     progress: Progress | None,
 ) -> WorstCaseSigma:
     """The record for one plant in its own coordinates."""
+    rows = SpacedRows(plant, family.window, family.count, family.spacing, late)
     if plant.n_states == 0:
-        times = checks.freeze(family.spacing * np.arange(family.count))
-        proof, method = SphereBounds(np.inf, AttainedSchedule(np.inf, times, np.zeros(0)), "no states", 0), "no states"
-        return _record(plant, family, rtol, proof, times, method)
-    rows = SpacedRows(plant, family.window, family.count, family.spacing)
-    proof, method = _proof(rows, rtol, seconds, rng, progress)
-    return _record(plant, family, rtol, proof, rows.times(proof.attained.slacks), method)
+        found = AttainedSchedule(np.inf, np.zeros(rows.count), np.zeros(0))
+        return _record(rows, family, late, rtol, SphereBounds(np.inf, found, "no states", 0), "no states")
+    return _record(rows, family, late, rtol, *_proof(rows, rtol, seconds, rng, progress))
 
 
 def _proof(
@@ -361,34 +412,37 @@ def _proof(
     else:
         budget = Budget(seconds)
         found, method = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH)), "branch and bound over directions"
-        if rows.counts_as_zero(found.sigma, found.slacks):
+        if rows.counts_as_zero(found.sigma, found.slacks, found.moves):
             proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unobservable"
         elif rows.n > MOST_STATES:
             proof, method = SphereBounds(0.0, found, "too many states", 0), "none"
         else:
             proof = prove_worst(rows, found, rtol, max(budget.left, _PROOF * seconds), progress)
-    if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks):
+    if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks, proof.attained.moves):
         proof = proof._replace(lower=0.0, status="below rounding")
     return proof, method
 
 
 def _record(
-    plant: Plant,
-    family: SpacedWindows,
-    rtol: float,
-    proof: SphereBounds,
-    times: Array,
-    method: str,
+    rows: SpacedRows, family: SpacedWindows, late: TimingTolerance, rtol: float, proof: SphereBounds, method: str
 ) -> WorstCaseSigma:
     """The public record, its witness evaluated afresh by the room's own sigma."""
-    upper, x = sigma_min(plant, times) if plant.n_states else np.inf, proof.attained.direction
-    s = np.linspace(0.0, family.window, _PICTURE)
-    output_norm, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
-    frozen = [checks.freeze(a) for a in (s, output_norm, times, at_samples)]
+    plant, x, planned = rows.plant, proof.attained.direction, rows.times(proof.attained.slacks)
+    readings, when, mask = None, planned, None
+    if late:
+        readings = np.empty((rows.count, plant.n_outputs))
+        for each, group in zip(rows.readings(planned, proof.attained.moves).T, rows.groups, strict=True):
+            readings[:, group.outputs] = each[:, None]
+        when, mask = readings.ravel(), np.tile(np.eye(plant.n_outputs, dtype=bool), (rows.count, 1))
+    upper = sigma_min(plant, when, mask) if plant.n_states else np.inf
+    s = np.linspace(0.0, family.window + late.span, _PICTURE)
+    seen, at = (plant.C @ plant.transition(t) @ x for t in (s, when))
+    at_samples = np.linalg.norm(at if mask is None else at * mask, axis=1)
+    frozen = [checks.freeze(a) for a in (s, np.linalg.norm(seen, axis=1), when, at_samples)]
     return WorstCaseSigma(
         lower=min(proof.lower, upper),
         upper=upper,
-        witness=frozen[2],
+        witness=checks.freeze(planned + max(late.early)),
         direction=checks.freeze(x),
         status=proof.status,
         method=method,
@@ -397,4 +451,6 @@ def _record(
         rtol=rtol,
         profile=WorstCaseProfile(*frozen),
         time_unit=plant.time_unit,
+        late=late,
+        readings=None if readings is None else checks.freeze(readings),
     )

@@ -19,6 +19,7 @@ from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.balls import BallBox, CellMetric, largest_over
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -37,6 +38,7 @@ def prove_worst_over_box(
     cells: list[BoxCells],
     one: SigmaOfOne,
     seconds: float,
+    late: TimingTolerance = ON_TIME,
 ) -> ProvenSigma:
     """Prove a lower bound of sigma over a box and all schedules of a family: see `nearest_proven`.
 
@@ -51,17 +53,18 @@ def prove_worst_over_box(
             clock.check()
             at = tuple(u.tolist())
             if known.get(at, 0.0) < needed < np.inf:
-                lower, _, worst = one(plant, rtol, np.inf)
+                found = one(plant, rtol, np.inf)
                 left = clock.left
-                if lower >= needed:
-                    known[at] = prove_worst_sigma(plant, family, needed * UP, worst, left, (0.0,)).lower
+                if found.lower >= needed:
+                    proof = prove_worst_sigma(plant, family, needed * UP, found.witness, left, (0.0,), late)
+                    known[at] = proof.lower
             return known.get(at, 0.0) >= needed
 
         def proves(mu: float) -> bool:
             def proven(cell: BoxCells) -> list[BoxCells] | None:
                 points = points_of(cell)
                 plants = [model.plant.at(model.values(u)) for u in points]
-                needed = _needed(box, cell, (points, plants), family, mu)
+                needed = _needed(box, cell, (points, plants), (family, late), mu)
                 if all(reaches(u, plant, needed) for u, plant in zip(points, plants, strict=True)):
                     return []
                 small = cell.half.max(initial=0.0) < SMALLEST
@@ -74,15 +77,21 @@ def prove_worst_over_box(
     return nearest_proven(guess, seconds, begin, shaves=SHAVES[:1])
 
 
-def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], family: SpacedWindows, mu: float) -> float:
+def _needed(
+    box: BallBox,
+    one: BoxCells,
+    judged: tuple[Array, list[Plant]],
+    rule: tuple[SpacedWindows, TimingTolerance],
+    mu: float,
+) -> float:
     """What sigma of the plants by which a cell is judged must be for sigma >= mu all over it; infinity if unknown."""
     least, points = np.inf, judged[0]
     cell, off_A, off_C = box.cell(one.u[0], one.half[0]), flint().arb(0), flint().arb(0)
     for u, plant in zip(*judged, strict=True):
         exact, (A, C) = box.cell(u, 0 * u), box.balanced(matrix(plant.A), matrix(plant.C))
         off_A, off_C = off_A.max(frobenius(exact.A - A)), off_C.max(frobenius(exact.C - C))
-    for metric in box.metrics(cell, family.window):
-        spread = _pulse_sizes(box, metric, (off_A, off_C), family)
+    for metric in box.metrics(cell, rule[0].window):
+        spread = _pulse_sizes(box, metric, (off_A, off_C), *rule)
         if spread is not None:
             first, second = spread
             corners = ((second + mu) ** 2 + first * first).sqrt() + second
@@ -92,7 +101,7 @@ def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], fami
 
 
 def _pulse_sizes(
-    box: BallBox, metric: CellMetric, off: tuple[Ball, Ball], family: SpacedWindows
+    box: BallBox, metric: CellMetric, off: tuple[Ball, Ball], family: SpacedWindows, late: TimingTolerance
 ) -> tuple[Ball, Ball] | None:
     """At least |sum +-O_k| and |X| over a cell, in one metric; `off`: the rounding of the plants that are judged."""
     eye = identity(box.n)
@@ -106,7 +115,8 @@ def _pulse_sizes(
     both = replace(norms, moved=norms.moved + lost.moved, output_moved=norms.output_moved + lost.output_moved)
     first, second, rate = flint().arb(0), flint().arb(0), positive_part(norms.rate)
     for j in range(family.count):
-        t = positive_part(ball(family.window) - ball(family.spacing) * j)
+        t = positive_part(ball(family.window) - ball(family.spacing) * j) + ball(max(late.early)) + ball(max(late.late))
         first += norms.rows(t, rate)[0] ** 2
         second += (lost.rows(t, rate)[0] + both.rows(t, rate)[1]) ** 2
+    first, second = (part * len(late.early) for part in (first, second))  # outputs read at times of their own
     return (first * there).sqrt().upper(), (second * there).sqrt().upper()

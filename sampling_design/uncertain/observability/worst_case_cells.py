@@ -22,15 +22,17 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import halved
 from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, norms_in, signs
 from sampling_design.uncertain.box.model import BoxModel
 
-SigmaOfOne = Callable[[Plant, float, float], tuple[float, float, Array]]
-"""Of a plant, a tolerance and seconds: proven lower bound, attained upper one and its times."""
+SigmaOfOne = Callable[[Plant, float, float], WorstCaseSigma]
+"""Sigma of a plant, to a tolerance, in so many seconds."""
 
 MOST_CORNERS = 4  # parameters up to which cells are judged by their corners
 WIDE = 10.0  # units this far apart, in balanced coordinates, are told by what sigma is there
@@ -53,13 +55,20 @@ def points_of(cell: BoxCells) -> Array:
     return np.asarray(u + signs(u.size) * half)
 
 
-def least_over(model: BoxModel, cell: BoxCells, family: SpacedWindows, least: float, balanced: float = 0.0) -> float:
+def least_over(
+    model: BoxModel,
+    cell: BoxCells,
+    family: SpacedWindows,
+    least: float,
+    balanced: float = 0.0,
+    late: TimingTolerance = ON_TIME,
+) -> float:
     """At most sigma of every plant of a cell and any k times in the window; `least`: of the plants of `points_of`.
 
     `balanced` is at most their sigma in balanced coordinates; 0 where it is not known.
     """
     A, C = model.at(cell.u)
-    ends, found = latest(family), 0.0
+    ends, found = latest(family, late), 0.0
     for T in bases(A, C, np.array([family.window])):
         inverse = np.linalg.inv(T).astype(complex)
         norms, _, _ = norms_in(model, cell, A, C, T, inverse)
@@ -81,6 +90,7 @@ def left(least: float, first: float, second: float, parameters: int) -> float:
     return float(np.sqrt(max(max(least - second, 0.0) ** 2 - first**2, 0.0)) - second)
 
 
-def latest(family: SpacedWindows) -> Array:
-    """By when each sample is taken at the latest."""
-    return np.asarray(np.maximum(family.window - family.spacing * np.arange(family.count), 0.0) * UP)
+def latest(family: SpacedWindows, late: TimingTolerance = ON_TIME) -> Array:
+    """By when each sample is taken at the latest, once for each output where these are read at times of their own."""
+    planned = np.maximum(family.window - family.spacing * np.arange(family.count), 0.0)
+    return np.asarray(np.repeat(planned + late.span, len(late.early)) * UP)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +13,11 @@ from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.worst_case.worst_case_sigma import (
     LEAST_SEARCH,
+    WorstCaseSigma,
     asked,
     deviations_of_family,
+    of_real_times,
+    said_of_readings,
     worst_case_sigma,
 )
 from sampling_design.plants.plant import Plant
@@ -22,8 +26,8 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import short
-from sampling_design.schedules.jitter import Timing, TimingTolerance
+from sampling_design.records.record import Plain, short
+from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS
 from sampling_design.uncertain.box.expansion import UP, BoxCells
@@ -55,7 +59,11 @@ class WorstCaseOverBox(SigmaBracket):
     worst : mapping
         Values of the parameters.
     witness : (k,) array
-        Sample times within [0, T].
+        Sample times within [0, T], planned ones where outputs have tolerances of their own.
+    readings : (k, p) array or None
+        When each output of these samples is read, there.
+    timing_tolerance : dict or None
+        As in `WorstCaseSigma`.
     status : str
         "closed", "unobservable" (of a state of some plant some schedule measures nothing), "budget", "interrupted" or
         "no states".
@@ -72,26 +80,40 @@ class WorstCaseOverBox(SigmaBracket):
     family: SpacedWindows
     plants: int
     plant: UncertainPlant
+    late: TimingTolerance = field(default=ON_TIME, kw_only=True)
+    readings: Array | None = field(default=None, kw_only=True)
 
     _answers = (
         "the least sigma of every plant of a box, over all schedules with {family.count} samples in {family.window} "
-        "{_unit}, {family.spacing} {_unit} apart",
+        "{_unit}, {family.spacing} {_unit} apart{_read}",
         "{_grounds}",
         SigmaBracket._good,
         SigmaBracket._balls.format(at="the plant `.worst`"),
     )
     _table = {
         "worst plant": "{worst:or the nominal plant}",
+        "samples come": "{_late}",
         "worst times": "{witness} {plant.time_unit}",
         "status": "{status}, {plants} plants",
     }
     _plain = (
-        "lower upper worst witness status rtol plants rigorous coordinates family{window count spacing} deviations "
-        "claim"
+        "lower upper worst witness readings? status rtol plants rigorous coordinates family{window count spacing} "
+        "timing_tolerance? deviations claim"
     )
 
     def _unit(self) -> str:
         return self.plant.time_unit
+
+    @property
+    def timing_tolerance(self) -> Plain:
+        """How early or late each output may be read, where they have tolerances of their own; else None."""
+        return self.late.plain if self.late else None
+
+    def _late(self) -> str | None:
+        return self.late.describe(self._unit()) if self.late else None
+
+    def _read(self) -> str:
+        return said_of_readings(self.family, self.late, self._unit())
 
     @property
     def claim(self) -> Claim:
@@ -99,7 +121,7 @@ class WorstCaseOverBox(SigmaBracket):
         f = self.family
         return Claim(
             f"sigma_n(O_s) >= {short(self.lower)} for every plant of the box and all schedules with at least {f.count} "
-            f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}",
+            f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}{self._read()}",
             theorem="Theorem 17, for each plant of the box" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("constant parameters in their ranges", "every sample measures all outputs"),
         )
@@ -109,7 +131,9 @@ class WorstCaseOverBox(SigmaBracket):
         if self.status == "no states":
             return NO_STATES
         where = f"The worst plant has {at_parameters(self.worst)}, at {short(self.witness)} {self.plant.time_unit}"
-        proven = f"Sigma is at least {short(self.lower)} for every plant of the box and every such schedule"
+        proven = (
+            f"Sigma is at least {short(self.lower)} for every plant of the box and every such schedule{self._read()}"
+        )
         return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
 
 
@@ -124,53 +148,72 @@ def worst_case_over_box(
     timing_tolerance: Timing = 0.0,
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
-    late, family = TimingTolerance.of(timing_tolerance), family.loosened(timing_tolerance)
+    late = TimingTolerance.of(timing_tolerance, plant.nominal.outputs.names)
+    family, apart = of_real_times(family, late)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
-        return _record(model, family, tolerance, "no states", 0, np.inf, (np.inf, model.start, np.zeros(0)))
+        return _record(model, family, tolerance, "no states", 0, np.inf, _Worst(np.inf, model.start, np.zeros(0)))
 
     clock = Budget(seconds)
 
-    def one(member: Plant, fine: float, left: float) -> tuple[float, float, Array]:
+    def one(member: Plant, fine: float, left: float) -> WorstCaseSigma:
         limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
-        found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit)
+        own = replace(apart, names=member.outputs.names).plain if apart else 0.0
+        found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit, timing_tolerance=own)
         if found.status == "interrupted":  # of one plant: the others are not looked at
             clock.stop()
-        return found.lower, found.upper, found.witness
+        return found
 
-    def firm(member: Plant, fine: float, left: float) -> tuple[float, float, Array]:
+    def firm(member: Plant, fine: float, left: float) -> WorstCaseSigma:
         found = one(member, fine, left)
         if clock.limit < 0:
             raise KeyboardInterrupt
         return found
 
     settled: list[BoxCells] = []
-    found = _searched(model, family, tolerance, clock, one, settled)
+    found = _searched(model, family, apart, tolerance, clock, one, settled)
     left = min(clock.left, BESIDE * max(clock.spent, LEAST_SEARCH))
     if rigorous and found.status != "interrupted":
         from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
 
-        proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds)
+        proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds, apart)
         found = in_balls(found, proof, BALL_ROOM)
-    least = partial(_least, plant, tolerance)
+    least = partial(_least, plant, apart, tolerance)
     beside = partial(deviations_of_family, least, family, late, found.lower, left, plant.time_unit)
-    return replace(found, beside=beside)
+    return replace(found, late=apart, beside=beside)
 
 
-def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, seconds: float) -> float:
+def _least(plant: UncertainPlant, late: TimingTolerance, rtol: float, family: SpacedWindows, seconds: float) -> float:
     """Proven sigma of a rule."""
-    if worst_case_sigma(plant.nominal, replace(family, time_unit=None), rtol, seconds).lower == 0:
+    rule = replace(family, time_unit=None)
+    if worst_case_sigma(plant.nominal, rule, rtol, seconds, timing_tolerance=late.plain).lower == 0:
         return 0.0  # a box about a zero is cut for as long as it may be
-    return worst_case_over_box(plant, family, rtol, seconds).lower
+    return worst_case_over_box(plant, family, rtol, seconds, timing_tolerance=late.plain).lower
+
+
+class _Worst(NamedTuple):
+    """The least sigma met, its plant, and when samples are planned and read."""
+
+    sigma: float
+    u: Array
+    witness: Array
+    readings: Array | None = None
 
 
 def _searched(
-    model: BoxModel, family: SpacedWindows, rtol: float, budget: Budget, one: SigmaOfOne, settled: list[BoxCells]
+    model: BoxModel,
+    family: SpacedWindows,
+    late: TimingTolerance,
+    rtol: float,
+    budget: Budget,
+    one: SigmaOfOne,
+    settled: list[BoxCells],
 ) -> WorstCaseOverBox:
     """The bracket; `settled` takes the cells that were proven."""
     known = dict[tuple[float, ...], tuple[float, float]]()
-    wide, best = bool(np.ptp(np.log(model.unit)) > np.log(WIDE)), (np.inf, model.start, np.zeros(family.count))
+    wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
+    best = _Worst(np.inf, model.start, np.zeros(family.count))
 
     def judged(cell: BoxCells) -> tuple[Array, Array] | None:
         nonlocal best
@@ -180,15 +223,16 @@ def _searched(
             if left <= 0 and known:
                 return None
             if tuple(u.tolist()) not in known:
-                lower, upper, times = one(model.plant.at(model.values(u)), FINER * rtol, left)
-                inner = one(model.balanced_at(u), FINER * rtol, left)[0] if wide else 0.0
+                found = one(model.plant.at(model.values(u)), FINER * rtol, left)
+                inner = one(model.balanced_at(u), FINER * rtol, left).lower if wide else 0.0
                 # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
-                known[tuple(u.tolist())] = max(lower, inner / (UP * float(model.unit.max()))), inner
-                best = (upper, u, times) if search.meet(np.array([upper])).size else best
-            if best[0] == 0:
+                known[tuple(u.tolist())] = max(found.lower, inner / (UP * float(model.unit.max()))), inner
+                if search.meet(np.array([found.upper])).size:
+                    best = _Worst(found.upper, u, found.witness, found.readings)
+            if best.sigma == 0:
                 return None
         least, inner = np.min([known[tuple(u.tolist())] for u in points], axis=0).tolist()
-        return np.array([[least_over(model, cell, family, least, inner)]]), np.zeros((1, 0))
+        return np.array([[least_over(model, cell, family, least, inner, late)]]), np.zeros((1, 0))
 
     def cut(cell: BoxCells, _: Array) -> tuple[BoxCells, Index]:
         parts = parts_of(model, cell, family)
@@ -197,7 +241,7 @@ def _searched(
     search = LeastOverCells(BoxCells.whole(model.m), np.zeros((1, 1)), within(rtol), budget)
     status = search.run(judged, cut)
     settled += [*search.closed, search.cells]
-    if best[0] == 0:
+    if best.sigma == 0:
         return _record(model, family, rtol, "unobservable", len(known), 0.0, best)
     if status != "closed":
         status = "interrupted" if status == "interrupted" or budget.limit < 0 else "budget"
@@ -211,10 +255,10 @@ def _record(
     status: str,
     judged: int,
     lower: float,
-    best: tuple[float, Array, Array],
+    best: _Worst,
 ) -> WorstCaseOverBox:
     return WorstCaseOverBox(
-        lower=min(lower, best[0]), upper=best[0], worst=model.values(best[1]), witness=best[2], status=status,
-        family=family, rtol=rtol, plants=judged, plant=model.plant,
+        lower=min(lower, best.sigma), upper=best.sigma, worst=model.values(best.u), witness=best.witness, status=status,
+        family=family, rtol=rtol, plants=judged, plant=model.plant, readings=best.readings,
         coordinates=coordinates_of(model.plant.nominal.has_scales),
     )  # fmt: skip

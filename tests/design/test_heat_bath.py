@@ -100,6 +100,35 @@ def test_the_best_of_all_arrangements_is_found(plant):
     assert float(worst_sigma2(case, start[None])[0]) < 0.5 * best
 
 
+def drawn_anew(bath, times, rng, steps):
+    """The schedule after each step, every one judged anew, from the same numbers drawn."""
+    heats = heat_bath._WARM * (heat_bath._COOL / heat_bath._WARM) ** (np.arange(steps) / steps) / times.size
+    for heat in heats:
+        others = np.delete(times, rng.integers(times.size))
+        free = bath.room(others).all(axis=1)
+        seen = bath.least_eigenvalues(others, *bath.rows(others))[free] / bath.unit
+        soft = -np.log(np.exp(-heat_bath._SHARPNESS * seen).sum(axis=1)) / heat_bath._SHARPNESS
+        odds = np.cumsum(np.exp((soft - soft.max()) / heat))
+        place = int(np.searchsorted(odds, rng.uniform() * odds[-1], side="right"))
+        times = np.sort(np.append(others, bath.places[free][place]))
+        yield seen.min(axis=1)[place], times
+
+
+@pytest.mark.parametrize("remembered", [20, 2000])
+def test_a_run_draws_what_it_would_draw_if_every_step_were_judged_anew(monkeypatch, remembered):
+    case, judged, own = problem(ALONE, 5, 6), [], HeatBath.least_eigenvalues
+    spots = np.sort(np.array([d + h for d in range(5) for h in (0.05, 0.27, 0.8)]))
+    start = spots[[0, 1, 4, 7, 10, 13]]
+    bath = HeatBath(case, case.orthogonal_flow, spots, unit=1.0)
+    plainly = max(drawn_anew(bath, start, np.random.default_rng(9), 150), key=lambda one: one[0])
+    monkeypatch.setattr(heat_bath, "_REMEMBERED", remembered)
+    monkeypatch.setattr(HeatBath, "least_eigenvalues", lambda *given: judged.append(1) or own(*given))
+    value, times = bath.run(start, np.random.default_rng(9), steps=150)[0]
+    assert value == pytest.approx(plainly[0], rel=1e-9)
+    np.testing.assert_array_equal(times, plainly[1])
+    assert len(judged) < 150
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("repeats", "samples", "spacing"), few([(3, 7, 0.32), (9, 4, 0.6), (6, 12, 0.3), (5, 5, 0.9)], 1)

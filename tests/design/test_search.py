@@ -239,6 +239,23 @@ def test_kicks_end_where_all_that_was_refined_ends_alike(monkeypatch):
         assert len(tried) == most  # a first refinement and a second one for each kick
 
 
+def test_after_a_heat_bath_kicks_end_where_they_begin_near_the_bound(monkeypatch):
+    tried = []
+    monkeypatch.setattr(local_search, "refined", lambda case, times, *_, **__: tried.append(1) or (times, 4.0))
+    case = problem(samples=4, spacing=0.05, window=12.0, period=11.0)
+    times = at_shares(case, (np.arange(4) + 0.5) / 4)
+    for near, bound, kicked in (
+        (local_search._BATHED_NEAR, 2.1, 0),
+        (local_search._BATHED_NEAR, 2.2, 1),
+        (None, 2.1, 1),
+    ):
+        tried.clear()
+        run = _Refinement(case, ENDLESS, bound, times, 4.0, trials(1.0, 1.5, 1.8, 2.0))
+        run.near = near or run.near
+        _kick(run, np.random.default_rng(0), 1)
+        assert bool(tried) == bool(kicked)
+
+
 def test_the_share_of_starts_that_lead_to_other_optima():
     def share(*sigmas, abandoned=0):
         return _Refinement(

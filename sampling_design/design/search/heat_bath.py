@@ -21,13 +21,14 @@ Geman and Geman 1984.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
 Valued = tuple[float, Array]
@@ -40,6 +41,7 @@ _WORK = 4_000_000_000  # multiplications of a run at most: fewer steps of many s
 _BELOW = 0.1  # of sigma^2 of the relaxation: how far t stays below the least eigenvalue
 _KEPT, _ALIKE = 2, 1e-3  # schedules of a run that are kept, and by what share two must differ
 _PARENTS = 2  # runs that are gone on from
+_REMEMBERED = 2000  # schedules of all samples but one whose places are judged: memory for time
 _SAME = 1e-6  # of the shift: hours nearer than that are one
 
 
@@ -94,6 +96,14 @@ def places(problem: DesignProblem, found: Relaxation) -> Array:
     return np.unique(wanted[problem.mask(wanted).any(axis=-1)])
 
 
+class _Judged(NamedTuple):
+    """Places by their numbers: the soft least of their windows, below that of the best one, and the least of them."""
+
+    free: Index
+    soft: Array
+    least: Array
+
+
 class HeatBath:
     """Schedules whose samples are drawn anew one by one over some `places`; `unit` is the sigma^2 that is hoped for."""
 
@@ -146,27 +156,40 @@ class HeatBath:
         away = np.abs((self.places[:, None] - others + period / 2) % period - period / 2)
         return np.asarray(away >= self.problem.gap)
 
+    def judged(self, others: Array, early: Array, late: Array, room: Mask) -> _Judged:
+        """The places that are free beside the `others`, and what their windows would see then."""
+        free = np.flatnonzero(room.all(axis=1))
+        if not free.size:
+            return _Judged(free, np.zeros(0), np.zeros(0))
+        eigenvalues = self.least_eigenvalues(others, early, late)[free] / self.unit
+        least = eigenvalues.min(axis=1)
+        soft = least - np.log(np.exp(-_SHARPNESS * (eigenvalues - least[:, None])).sum(axis=1)) / _SHARPNESS
+        return _Judged(free, soft - soft.max(), least)
+
     def run(self, times: Array, rng: np.random.Generator, steps: int, budget: Budget = ENDLESS) -> list[Valued]:
         """The best few schedules of a number of steps from `times`, the best first, with about their sigma^2."""
         kept: list[Valued] = []
         known = np.concatenate([times, self.places])  # what a schedule is chosen from, by its number
         early, late = (np.concatenate(pair) for pair in zip(self.rows(times), (self.early, self.late), strict=True))
         room, chosen = self.room(known), np.arange(times.size)
+        judged: dict[bytes, _Judged] = {}  # cooled down, the same sample goes out of the same schedule again and again
         for step in range(steps):
             if budget.over:
                 break
             rest = np.delete(chosen, rng.integers(times.size))
-            others = known[rest]
-            free = np.flatnonzero(room[:, rest].all(axis=1))
+            key = rest.tobytes()
+            if len(judged) > _REMEMBERED:
+                judged.clear()
+            if key not in judged:
+                judged[key] = self.judged(known[rest], early[rest], late[rest], room[:, rest])
+            free, soft, least = judged[key]
             if not free.size:
                 continue
-            eigenvalues = self.least_eigenvalues(others, early[rest], late[rest])[free] / self.unit
-            least = eigenvalues.min(axis=1)
-            soft = least - np.log(np.exp(-_SHARPNESS * (eigenvalues - least[:, None])).sum(axis=1)) / _SHARPNESS
             heat = _WARM * (_COOL / _WARM) ** (step / steps) / times.size
-            odds = np.cumsum(np.exp((soft - soft.max()) / heat))
+            odds = np.cumsum(np.exp(soft / heat))
             drawn = int(np.searchsorted(odds, rng.uniform() * odds[-1], side="right"))
             place, value = free[drawn], float(least[drawn])
+            others = known[rest]
             at = int(np.searchsorted(others, self.places[place]))
             chosen = np.concatenate([rest[:at], [times.size + place], rest[at:]])
             alike = [one for one, _ in kept if abs(one - value) <= _ALIKE]

@@ -50,6 +50,7 @@ _GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what sh
 _EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
 _BEFORE_KICKS = 0.6  # of the search, as progress counts it
 _NEAR = 0.997  # of the bound: from there on a kick, or a heat bath, costs more than it can gain
+_BATHED_NEAR = 0.95  # of the bound: where a heat bath came so near, kicks from there find nothing
 HOPELESS_START, HOPELESS_KICK = 0.7, 0.92  # of the best sigma^2 after a few steps: not led on any further
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
@@ -138,6 +139,7 @@ def _search_from(
 
             led = annealed(problem, relaxation, begun, rng, budget, cooled)
             bathed = [("heat bath", times) for times in led]
+            run.near = _BATHED_NEAR if led else _NEAR
             pool += _led(run, problem.orthogonal_flow, bathed, len(bathed)) if bathed else []
         starts = min(starts, FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
@@ -188,7 +190,7 @@ class _Refinement:
     """The best schedule so far, its sigma^2, and the trials that led there.
 
     `good` are the best that the quasi-Newton method led to, with their sigma^2; `abandoned` counts the starts that were
-    not followed to their optimum.
+    not followed to their optimum; `near` is the share of the bound from which on it is not kicked.
     """
 
     problem: DesignProblem
@@ -199,6 +201,7 @@ class _Refinement:
     trials: list[SearchTrial]
     good: list[tuple[float, Array]] = field(default_factory=list)
     abandoned: int = 0
+    near: float = _NEAR
 
     @property
     def highest(self) -> float:
@@ -276,7 +279,7 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int, progress: Value
     if free == 0:
         return
     for done in range(most):
-        if run.is_over or idle >= patience or run.value >= (_NEAR * run.enough) ** 2:
+        if run.is_over or idle >= patience or run.value >= (run.near * run.enough) ** 2:
             return
         if problem.orthogonal_flow is None and run.other_optima <= _OTHER_OPTIMA:
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -22,6 +22,8 @@ from sampling_design.records.signatures import checked
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
 
+Bases = tuple[Array, Array, Array]
+"""Right and left basis of a part in the plant's own coordinates, and the part's A."""
 OFFSET = 1e-8  # stability margin in units of |A|: the spread of a double eigenvalue under rounding
 
 
@@ -195,10 +197,8 @@ def split_modes(
     error = n * np.finfo(float).eps if rounding is None else checks.positive("rounding", rounding)
     checks.positive("cluster_cap", cluster_cap)
     if n == 0:
-        nothing = partial(
-            ModalSplit, offset=0.0, clusters=(), retained_clusters=(), near_line=np.zeros(0, dtype=complex)
-        )
-        return _split(plant, decay_rate, nothing, _undivided(0, True))
+        nothing = partial(ModalSplit, offset=0.0, clusters=(), retained_clusters=(), near_line=np.zeros(0, complex))
+        return _split(plant, decay_rate, nothing)
     form = balanced_schur(plant.A)
     strip = OFFSET * form.speed if offset is None else checks.nonnegative("offset", offset)
     clusters, positions = clusters_of(form, error, cluster_cap)
@@ -216,51 +216,22 @@ def split_modes(
         ModalSplit, offset=strip, clusters=clusters, retained_clusters=tuple(kept), near_line=np.concatenate(near)
     )
     if select.all() or not select.any():
-        return _split(plant, decay_rate, found, _undivided(n, bool(select.all())))
-    return _split(plant, decay_rate, found, _decouple(form, select).in_scales(plant.states.scales))
+        return _split(plant, decay_rate, found, whole=bool(select.all()))
+    parts, separation, condition = _decoupled(form, select)
+    orthonormal = [_orthonormal(*part, plant.states.scales) for part in parts]
+    return _split(plant, decay_rate, found, orthonormal, separation, condition)
 
 
-@dataclass(frozen=True, eq=False)
-class _Bases:
-    """Right and left bases in the plant's own coordinates; A_r, A_s are None where a part is empty."""
-
-    V_r: Array
-    V_s: Array
-    L_r: Array
-    L_s: Array
-    A_r: Array | None
-    A_s: Array | None
-    separation: float
-    condition: float
-
-    def in_scales(self, scales: Array) -> _Bases:
-        """The same parts, with columns that are orthonormal where each state is counted in its scale."""
-        parts = [
-            _orthonormal(*part, scales) for part in ((self.V_r, self.L_r, self.A_r), (self.V_s, self.L_s, self.A_s))
-        ]
-        (V_r, L_r, A_r), (V_s, L_s, A_s) = parts
-        return replace(self, V_r=V_r, V_s=V_s, L_r=L_r, L_s=L_s, A_r=A_r, A_s=A_s)
-
-
-def _orthonormal(V: Array, L: Array, A: Array | None, scales: Array) -> tuple[Array, Array, Array]:
+def _orthonormal(V: Array, L: Array, A: Array, scales: Array) -> Bases:
     """V R^-1, R L and R A R^-1, with the R that makes the columns of V R^-1, divided by `scales`, orthonormal."""
-    assert A is not None
     Q, R = np.linalg.qr(V / scales[:, None])
     signs = np.where(np.diagonal(R) < 0, -1.0, 1.0)
     R = R * signs[:, None]
     return scales[:, None] * Q * signs, R @ L, solve_triangular(R, (R @ A).T, trans="T").T
 
 
-def _undivided(n: int, all_retained: bool) -> _Bases:
-    """Return the bases of which one is the identity and the other empty."""
-    eye, none = np.eye(n), np.zeros((n, 0))
-    if all_retained:
-        return _Bases(eye, none, eye, none.T, None, None, np.inf, 1.0)
-    return _Bases(none, eye, none.T, eye, None, None, np.inf, 1.0)
-
-
-def _decouple(form: SchurForm, select: npt.NDArray[np.int32]) -> _Bases:
-    """Reorder the Schur form, decouple its two blocks, and undo the balancing."""
+def _decoupled(form: SchurForm, select: npt.NDArray[np.int32]) -> tuple[list[Bases], float, float]:
+    """Reorder the Schur form, decouple its two blocks, and undo the balancing; their separation and condition."""
     n, r = select.size, int(select.sum())
     work = max(1, 2 * r * (n - r))
     T, Q, _, _, m, _, separation, info = lapack.dtrsen(select, form.T, form.Q, job="B", lwork=work, liwork=work)
@@ -276,30 +247,27 @@ def _decouple(form: SchurForm, select: npt.NDArray[np.int32]) -> _Bases:
     A_s = solve_triangular(R, (R @ T[r:, r:]).T, trans="T").T
     condition = float(np.linalg.cond(np.hstack([top, complement])))
     d = form.d
-    L_r, L_s = (top.T - X @ rest.T) / d, R @ rest.T / d
-    return _Bases(d[:, None] * top, d[:, None] * complement, L_r, L_s, T[:r, :r], A_s, float(separation), condition)
+    slow = d[:, None] * top, (top.T - X @ rest.T) / d, T[:r, :r]
+    return [slow, (d[:, None] * complement, R @ rest.T / d, A_s)], float(separation), condition
 
 
-def _split(plant: Plant, decay_rate: float, found: Callable[..., ModalSplit], bases: _Bases) -> ModalSplit:
-    """Make the two plants and the record, which lacks them and their bases."""
-    whole = len(bases.L_r) == plant.n_states
+def _split(
+    plant: Plant, decay_rate: float, found: Callable[..., ModalSplit], parts: Sequence[Bases] = (),
+    separation: float = np.inf, condition: float = 1.0, whole: bool = True,
+) -> ModalSplit:  # fmt: skip
+    """Make the two plants and the record, which lacks them and their bases; without `parts` one is the whole plant."""
+    n = plant.n_states
+    undivided = (np.eye(n), np.eye(n), plant.A), (np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, 0)))
+    (V_r, L_r, A_r), (V_s, L_s, A_s) = parts or (undivided if whole else undivided[::-1])
     return found(
-        plant=plant,
-        decay_rate=decay_rate,
-        retained=plant if whole else _part(plant, bases.A_r, bases.V_r, bases.L_r, "retained", plant.D),
-        residual=_part(plant, bases.A_s, bases.V_s, bases.L_s, "residual", np.zeros_like(plant.D)),
-        basis_retained=freeze(bases.V_r),
-        basis_residual=freeze(bases.V_s),
-        left_retained=freeze(bases.L_r),
-        left_residual=freeze(bases.L_s),
-        separation=bases.separation,
-        condition=bases.condition,
-    )
+        plant=plant, decay_rate=decay_rate, separation=separation, condition=condition,
+        retained=plant if len(L_r) == n else _part(plant, A_r, V_r, L_r, "retained", plant.D),
+        residual=_part(plant, A_s, V_s, L_s, "residual", np.zeros_like(plant.D)),
+        basis_retained=freeze(V_r), basis_residual=freeze(V_s), left_retained=freeze(L_r), left_residual=freeze(L_s),
+    )  # fmt: skip
 
 
-def _part(plant: Plant, A: Array | None, V: Array, L: Array, what: str, D: Array) -> Plant:
+def _part(plant: Plant, A: Array, V: Array, L: Array, what: str, D: Array) -> Plant:
     """Return one part as a plant; its states carry no scales, since its basis is orthonormal in those of x."""
-    undivided = A is None and L.shape[0] > 0
-    states = plant.states if undivided else Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])))
-    part = replace_matrices(plant, L @ plant.A @ V if A is None else A, plant.C @ V, L, states)
-    return replace(part, D=D, name=f"{plant.name} ({what})".strip())
+    states = plant.states if A is plant.A else Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])))
+    return replace(replace_matrices(plant, A, plant.C @ V, L, states), D=D, name=f"{plant.name} ({what})".strip())

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Unpack, overload
@@ -278,7 +279,9 @@ def certify(
         raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
     noise_gain = above_one("noise_gain", noise_gain)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    return _of_schedule(plant, certifiable_schedule(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
+    schedule = certifiable_schedule(plant, schedule)
+    with _within(limit):
+        return _of_schedule(plant, schedule, (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
 
 
 def within_tolerance(
@@ -301,13 +304,11 @@ def within_tolerance(
     return (OutputJitter if read > 1 else Jitter).around(schedule, late)
 
 
-def _of_schedule(
-    plant: Plant, schedule: AnySchedule, given: tuple[object, object, object], P2: object, eta: float | None,
-    noise_gain: float, progress: Progress | None, limit: Budget,
-) -> Certificate:  # fmt: skip
-    """The certificate of one schedule; what a spent budget left undecided says so."""
+@contextmanager
+def _within(limit: Budget) -> Iterator[None]:
+    """What a spent budget left undecided says so."""
     try:
-        return _certified(plant, schedule, given, P2, eta, noise_gain, progress, limit)
+        yield
     except UndecidedError as error:
         if not limit.over:
             raise
@@ -318,7 +319,7 @@ def _of_schedule(
         ) from None  # fmt: skip
 
 
-def _certified(
+def _of_schedule(
     plant: Plant, schedule: AnySchedule, given: tuple[object, object, object], P2: object, eta: float | None,
     noise_gain: float, progress: Progress | None, limit: Budget,
 ) -> Certificate:  # fmt: skip

@@ -247,6 +247,14 @@ def smallest_singular(matrix: Array) -> Array:
     return np.asarray(np.linalg.svd(matrix, compute_uv=False)[..., n - 1], dtype=np.float64)
 
 
+def eigenvalue_bound(Y: Array) -> Array:
+    """A bound from above of the largest eigenvalue of each symmetric matrix, from its trace and its Frobenius norm."""
+    n = Y.shape[-1]
+    mean = np.trace(Y, axis1=-2, axis2=-1) / n
+    spread = np.maximum(np.einsum("...ij,...ij->...", Y, Y) / n - mean**2, 0.0)
+    return np.asarray(mean + np.sqrt((n - 1) * spread))
+
+
 def generalised_max(P: Array, Q: Array) -> float:
     """Return lambda_max(P, Q), the least c with P <= c Q; Q positive definite.
 

@@ -12,6 +12,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.modes import ModalSplit
+from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.record import Plain, PlainRecord, Record, short
 from sampling_design.schedules.jitter import TimingTolerance
@@ -183,15 +184,15 @@ def in_balls(found: Bracket, proof: ProvenSigma, room: float = 1.0) -> Bracket:
     return replace(found, lower=proof.lower, status=status, rigorous=True)
 
 
-def coordinates_of(has_scales: bool, rows: bool = False) -> str:
+def coordinates_of(plant: Plant) -> str:
     """Which coordinates sigma of a plant refers to: those of its scales, where it has any, or of chosen rows."""
-    return "functional" if rows else "scaled" if has_scales else "physical"
+    return "functional" if isinstance(plant, FunctionalPlant) else "scaled" if plant.has_scales else "physical"
 
 
 def coordinates_in(split: ModalSplit) -> str:
     """Which coordinates sigma of what a split retains refers to; "modal": an orthonormal basis of it."""
-    rows, retained = isinstance(split.plant, FunctionalPlant), split.retained
-    return "modal" if retained is not split.plant and not rows else coordinates_of(retained.has_scales, rows)
+    plant = coordinates_of(split.plant)
+    return plant if split.retained is split.plant or plant == "functional" else "modal"
 
 
 def rtol_and_seconds(rtol: float, budget: float | None) -> tuple[float, float]:

@@ -280,7 +280,7 @@ def period_of(schedule: AnySchedule, refusal: str = FINITE_FAMILY) -> PeriodicSc
 
     Raises ArgumentError if it is finite, with the sentence that says why that is refused.
     """
-    if not isinstance(schedule, PeriodicSchedule):
+    if not schedule.endless:
         raise ArgumentError(refusal)
     return schedule
 

@@ -322,15 +322,18 @@ def robustness(
     (True, True)
     """
     plant, report = part_for(plant, of), progress or (lambda fraction, message: None)
-    if isinstance(certificate, FamilyCertificate):
-        raise ArgumentError(
-            "`certificate` must be about one schedule, got a FamilyCertificate, which is itself about a family "
-            "of schedules. Certify the schedule that is planned."
-        )
-    planned_for = getattr(certificate, "schedule", None)
-    if not isinstance(planned_for, (Schedule, PeriodicSchedule)):
-        raise ArgumentError(f"`certificate` must be one about samples, got {checks.described(certificate)}.")
-    planned = certificate if isinstance(certificate, Certificate) else certify(plant, planned_for)
+    match certificate:
+        case FamilyCertificate():
+            raise ArgumentError(
+                "`certificate` must be about one schedule, got a FamilyCertificate, which is itself about a family "
+                "of schedules. Certify the schedule that is planned."
+            )
+        case Certificate():
+            planned = certificate
+        case HasSchedule(schedule=Schedule() | PeriodicSchedule() as schedule):
+            planned = certify(plant, schedule)
+        case _:
+            raise ArgumentError(f"`certificate` must be one about samples, got {checks.described(certificate)}.")
     schedule = period_of(
         planned.schedule, "`certificate` must be on a PeriodicSchedule: losses and delays are counted without end."
     )

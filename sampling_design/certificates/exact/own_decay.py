@@ -40,7 +40,7 @@ def own_decay(
     search = WeightSearch(canon, work=work)
     rates = np.geomspace(fastest, bounds[0], RATES) if fastest > bounds[0] else [fastest]
     for rate in map(float, rates):
-        if search.late or all(found):
+        if search.work.over or all(found):
             break
         try:
             rooms = [(shape, search.setting(rate).least(shape)) for shape in lyapunov_shapes(canon, rate, own)]

@@ -187,7 +187,7 @@ def precisely_chosen(
         dear = WorkLimit(left.left / BALL_PRICE, left, BALL_PRICE)
         search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(2 * PRECISE_PROOF)
         for rate in rates:
-            choice = None if search.late or proofs.over else search.best_guess(rate, budget)
+            choice = None if search.work.over or proofs.over else search.best_guess(rate, budget)
             if choice is None:
                 continue
             windows = search.setting(rate).windows

@@ -45,9 +45,8 @@ class ScheduleProof:
         long_run: float = 0.0,
     ) -> None:
         self.long_run = long_run  # lambda that the search expects there, where it has looked
-        self.left_open: tuple[WorkLimit, float, UndecidedError] | None = (
-            None  # of the last check: work, room, why it failed
-        )
+        # of the last check: its work, its room, and why it failed
+        self.left_open: tuple[WorkLimit, float, UndecidedError] | None = None
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, NoiseWeights(*weights[1:]), weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
@@ -125,9 +124,8 @@ class ScheduleProof:
             else:
                 missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
             anywhere = max(anywhere, missed, at_samples, key=attrgetter("value"))
-        reason = (
-            f"undecided: the proof of the certificate did not close: {verdict.reason}.{origin_question(self.canon)}"
-        )
+        question = origin_question(self.canon)
+        reason = f"undecided: the proof of the certificate did not close: {verdict.reason}.{question}"
         self.peaks, error = (anywhere, at_samples), UndecidedError(reason, verification=verdict, certificate=made)
         self.left_open = work, room, error
         raise error

@@ -109,11 +109,6 @@ class WeightSearch:
                 raise
             self.interrupted, self.work.left = True, 0.0
 
-    @property
-    def late(self) -> bool:
-        """Whether the search should end with what it has."""
-        return self.work.over
-
     def setting(self, eta: float) -> RateWindows:
         """The windows of one rate and the demand on P1."""
         if eta not in self.known:
@@ -188,7 +183,7 @@ class WeightSearch:
         """Descend anew from where a descent ended until that brings nothing: at a kink of lambda one may stop early."""
         best = self._descent(start, budget, bounds)
         for _ in range(self.restarts if bounds[0] == bounds[1] else 1):
-            if self.late:
+            if self.work.over:
                 break
             found = self._descent(best, budget, bounds)
             steps = best.iterations + found.iterations
@@ -263,7 +258,7 @@ class _WeightVariables:
         """Constraint values (>= 0) and gradients at z."""
         if self.known[0] == z.tobytes():
             return self.known[1:]
-        if self.search.late:
+        if self.search.work.over:
             raise _WorkExhausted
         self.search.work.spend(STEP_WORK * z.size)
         T, rate = self.unpack(z)
@@ -345,7 +340,7 @@ def choose_weights(
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
     guesses: list[ChosenWeights] = []
     for k, rate in enumerate(rates):
-        if search.late:
+        if search.work.over:
             break
         with search.kept(guesses):
             report(0.3 * k / len(rates), f"rate {rate:.3g}")
@@ -353,7 +348,7 @@ def choose_weights(
             guesses += [] if guess is None else [guess]
     if free and not guesses:  # the slower the rate, the fewer modes grow when their squares are discounted
         for rate in (bounds[0] / slower for slower in SLOWER):
-            if search.late:
+            if search.work.over:
                 break
             guess = search.best_guess(rate, REFERENCE)
             if guess is not None:
@@ -371,13 +366,13 @@ def choose_weights(
     guesses.sort(key=attrgetter("value"))
     found: list[ChosenWeights] = []
     for k, guess in enumerate(guesses[: search.starts]):
-        if found and search.late:
+        if found and search.work.over:
             break
         with search.kept(guesses):
             report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
             found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
     best = min(found or guesses, key=attrgetter("value"))
-    if free and not search.late:
+    if free and not search.work.over:
         with search.kept(guesses):
             report(0.7, "descent on shape and rate")
             best = min(best, search.descend(best, REFERENCE, bounds), key=attrgetter("value"))
@@ -403,7 +398,7 @@ def _descend_at_others(
     """Add to `shapes`, whose first is the best at the reference budget, those that descents at others end at."""
     last = shapes[0][1]
     for reference in (*search.below, *(above for above in ABOVE if above <= most)):
-        if search.late:
+        if search.work.over:
             break
         above = reference > REFERENCE
         with search.kept(guesses):
@@ -430,7 +425,7 @@ def round_choices(
         search = WeightSearch(canon, share, work)
         found: list[ChosenWeights] = []
         for rate in rates:
-            guess = None if search.late else search.best_guess(rate, budget)
+            guess = None if search.work.over else search.best_guess(rate, budget)
             found += [] if guess is None else [replace(guess, spare=True)]
         yield found
 

@@ -15,6 +15,7 @@ from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import WindowProblem
 from sampling_design.checkers.work import WorkLimit
 from sampling_design.numerics.filtering import joint_update, propagate
+from sampling_design.numerics.linalg import eigenvalue_bound
 from sampling_design.records.arrays import Array, Index, Mask
 
 MERGED = 1e-3  # a window this near the periodic solution, relative to it or to P2^-1, is followed no further
@@ -172,12 +173,8 @@ def _log_largest_eigenvalues(ratios: Array, valid: Mask) -> tuple[Array, Array]:
 
     Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues.
     """
-    n = ratios.shape[-1]
-    mean = np.trace(ratios, axis1=-2, axis2=-1) / n
-    spread = np.maximum(np.einsum("...ij,...ij->...", ratios, ratios) / n - mean**2, 0.0)
-    above = mean + np.sqrt((n - 1) * spread)
     below = np.where(valid, np.diagonal(ratios, axis1=-2, axis2=-1).max(axis=-1), 0.0).max(axis=0)
-    hopeful = valid & ~(above < np.exp(-ACTIVE) * below)
+    hopeful = valid & ~(eigenvalue_bound(ratios) < np.exp(-ACTIVE) * below)
     logs = np.full(ratios.shape[:-2], -np.inf)
     logs[hopeful] = np.log(np.maximum(np.linalg.eigvalsh(ratios[hopeful])[..., -1], 1e-300))
     return logs, ratios

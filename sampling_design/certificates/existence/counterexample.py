@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -140,17 +141,8 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
     if not residual <= RESIDUAL:
         return None
     main = found.eigenvalue if found.eigenvalue is not None else least.rate
-    state = tuple(complex(x) for x in direction)
     return Counterexample(
-        plant=plant,
-        schedule=schedule,
-        eta=eta,
-        eigenvalue=main,
-        partners=found.partners,
-        multiplier=mu,
-        direction=state,
-        residual=residual,
-        reason=found.reason,
+        plant, schedule, eta, main, found.partners, mu, tuple(complex(x) for x in direction), residual, found.reason
     )
 
 
@@ -204,7 +196,8 @@ def find_counterexample(
         found = judged(plant, schedule, eta)
         return None if found.exists else counterexample(plant, schedule, eta, found), found.margin
 
-    for schedule in _candidate_schedules(family, sorted({*periods, *(h for h in near if h)}), rng, quick):
+    suspects = family.suspects(sorted({*periods, *(h for h in near if h)}), rng, quick)
+    for schedule in chain([least[1]], suspects):
         made, margin = refused(schedule)
         if made is not None:
             return made, NearestFailure(margin, schedule, "; ".join(searched))
@@ -249,14 +242,6 @@ def refute(
         period=found.schedule.period,
         eta=eta,
     )
-
-
-def _candidate_schedules(
-    family: SamplingFamily, periods: list[float], rng: np.random.Generator, quick: bool
-) -> Iterator[PeriodicSchedule]:
-    """Periodic members worth a look: the nominal one, and those that the family suspects."""
-    yield period_of(family.nominal)
-    yield from family.suspects(periods, rng, quick)
 
 
 def _aliasing_periods(plant: Plant, eta: float, family: SamplingFamily) -> tuple[list[float], float]:

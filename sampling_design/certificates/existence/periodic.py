@@ -144,28 +144,28 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
     found = judged(plant, schedule, eta)
-    if not found.exists and (turn := too_dense(plant, schedule, eta, found)):
-        raise UndecidedError(
-            f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: its samples are so dense "
-            f"that {found.eigenvalue:.4g} and the eigenvalues beside it differ by only {turn:.3g} in a period of "
-            f"{schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). Sample less often, or count a "
-            "part of the samples as one.",
-            eigenvalue=found.eigenvalue,
-            partners=found.partners,
-            period=found.period,
-            margin=found.margin,
+    if found.exists:
+        return found
+    if turn := too_dense(plant, schedule, eta, found):
+        why = (
+            f"its samples are so dense that {found.eigenvalue:.4g} and the eigenvalues beside it differ by only "
+            f"{turn:.3g} in a period of {schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). "
+            "Sample less often, or count a part of the samples as one."
         )
-    if not found.exists and stays_bounded(plant, schedule, eta):
-        raise UndecidedError(
-            f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: {found.reason}, as far "
-            f"as rounding can tell (margin {found.margin:.3g}), yet the discounted covariance of the filter stays "
-            "bounded. Move a sample, or scale the plant.",
-            eigenvalue=found.eigenvalue,
-            partners=found.partners,
-            period=found.period,
-            margin=found.margin,
+    elif stays_bounded(plant, schedule, eta):
+        why = (
+            f"{found.reason}, as far as rounding can tell (margin {found.margin:.3g}), yet the discounted covariance "
+            "of the filter stays bounded. Move a sample, or scale the plant."
         )
-    return found
+    else:
+        return found
+    question = f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided"
+    raise UndecidedError(f"{question}: {why}", **_missed(found))
+
+
+def _missed(found: Existence) -> dict[str, object]:
+    """What an error says of the mode that a schedule misses."""
+    return {key: getattr(found, key) for key in ("eigenvalue", "partners", "period", "margin")}
 
 
 def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
@@ -214,10 +214,7 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
     )
     raise CertificateError(
         f"no certificate with rate {eta:.6g} exists on this schedule: {found.reason}. {words}",
-        eigenvalue=found.eigenvalue,
-        partners=found.partners,
-        period=found.period,
-        margin=found.margin,
+        **_missed(found),
         repair=repair,
     )
 

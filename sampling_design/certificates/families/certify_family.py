@@ -100,11 +100,6 @@ class FamilySearch:
         self.plant, self.family, self.weights, self.P2, self.noise_gain = plant, family, weights, P2, noise_gain
         self.budget = budget
 
-    @property
-    def late(self) -> bool:
-        """Whether the time is over."""
-        return self.budget.over
-
     def program(self, eta: float, memory: int, layers: int = LAYERS) -> FamilyProgram:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
         graph = graph_of(self.family, memory, self.plant.n_outputs)
@@ -197,7 +192,7 @@ class FamilySearch:
     def rates(self, bounds: tuple[float, float], memory: int, report: Progress) -> list[float]:
         """Rates in the order of the horizons that they promise."""
         scan = np.geomspace(*bounds, SCAN).tolist()
-        return best_rates(scan, GOLDEN, lambda rate: self.horizon(rate, memory), lambda: self.late, report)
+        return best_rates(scan, GOLDEN, lambda rate: self.horizon(rate, memory), lambda: self.budget.over, report)
 
     def decide(
         self, bounds: tuple[float, float], levels: list[int], least: NearestFailure, report: Progress
@@ -211,7 +206,7 @@ class FamilySearch:
                 chosen = bounds[0] < bounds[1]
                 return self.best_of(bounds, level, found, report) if chosen else found
             missed.append(found)
-            if self.late:
+            if self.budget.over:
                 break
             if len(missed) > 2 and found.kept < MEMORY_GAIN * missed[-3].kept:
                 break  # two levels more, and no more information kept: memory is not what is missing
@@ -229,7 +224,7 @@ class FamilySearch:
         """
         with suppress(KeyboardInterrupt):
             for rate in self.rates(bounds, memory, report)[:TRIED_RATES]:
-                found = known if self.late else self.propose(rate, memory)
+                found = known if self.budget.over else self.propose(rate, memory)
                 if found.P is not None and found.horizon < known.horizon:
                     return found
         return known
@@ -362,7 +357,7 @@ def without_states(
 
 def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], least: NearestFailure) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
-    if search.late:
+    if search.budget.over:
         return UndecidedError(
             f"undecided at rate {eta:.6g}: no certificate was proven within the budget, and no schedule of the family "
             "without one was found. Give it more time.", status="budget", eta=eta, word=least.schedule,

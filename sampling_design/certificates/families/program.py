@@ -103,22 +103,15 @@ class FamilyProgram:
         given, self.P2 = self.P2, np.zeros((0, 0))  # the start's matrix is infinite: no variable
         try:
             width = self._width(True)
-            cost = np.zeros(width)
-            cost[-1] = -1.0
             blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
             blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
-            found = _solved(cost, [b for b in blocks if b[2].size], self.budget)
-            if not conic_programs.usable(found.record):
-                return ProgramSolution(0.0, None, found.record)
-            return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
+            return self._largest([b for b in blocks if b[2].size], -np.inf)
         finally:
             self.P2 = given
 
     def feasible(self, lam: float, floor: float) -> ProgramSolution:
         """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
         width = self._width(True)
-        cost = np.zeros(width)
-        cost[-1] = -1.0
         ratio = (1 + self.margin) / lam
         blocks = [self._edge(k, h, width, slack=True) for k, h in self._edge_points()]
         blocks += [self._node(u, s, width, ratio) for u, s in self._node_points()]
@@ -128,20 +121,21 @@ class FamilyProgram:
         cap = np.zeros((1, width))
         cap[0, -1] = 1.0
         blocks.append(("nonnegative", cap, np.ones(1)))
-        found = _solved(cost, blocks, self.budget)
-        if not conic_programs.usable(found.record) or found.x[-1] < LEAST_SLACK:
-            return ProgramSolution(0.0, None, found.record)
-        return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
+        return self._largest(blocks, LEAST_SLACK)
 
     def best_ratio(self) -> ProgramSolution:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
         width = self._width(True)
-        cost = np.zeros(width)
-        cost[-1] = -1.0
         blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
         blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
+        return self._largest(blocks, np.nextafter(0.0, 1.0))
+
+    def _largest(self, blocks: list[ConeRows], least: float) -> ProgramSolution:
+        """The largest last variable under these blocks, and the matrices; none below `least`, or where it fails."""
+        cost = np.zeros(self._width(True))
+        cost[-1] = -1.0
         found = _solved(cost, blocks, self.budget)
-        if not conic_programs.usable(found.record) or found.x[-1] <= 0:
+        if not conic_programs.usable(found.record) or found.x[-1] < least:
             return ProgramSolution(0.0, None, found.record)
         return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
 

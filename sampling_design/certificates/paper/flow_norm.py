@@ -5,8 +5,6 @@ Every constant of the proof that is "a maximum over [0, T]" (k_w, the growth bef
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sampling_design.numerics.linalg import expm_batch
@@ -18,17 +16,10 @@ CELLS = 20_000  # most cells ever opened; a stiffer plant keeps a proven but loo
 MODAL_CONDITION = 1e8  # modal coordinates are used only where their basis keeps half of the digits
 
 
-@dataclass(frozen=True)
-class LargestFlow:
-    """max over s in [0, duration] of |M e^{As} N| lies in [lower, upper]; `lower` is attained at `at`."""
-
-    upper: float
-    lower: float
-    at: float
-
-
-def largest_flow(M: Array, A: Array, N: Array, duration: float, rtol: float = RTOL, cells: int = CELLS) -> LargestFlow:
-    """Bound the spectral norm of M e^{As} N over s in [0, duration] from both sides.
+def largest_flow(
+    M: Array, A: Array, N: Array, duration: float, rtol: float = RTOL, cells: int = CELLS
+) -> tuple[float, float, float]:
+    """Bound the spectral norm of M e^{As} N over s in [0, duration]: upper, lower bound, and where that is attained.
 
     Notes
     -----
@@ -43,7 +34,7 @@ def largest_flow(M: Array, A: Array, N: Array, duration: float, rtol: float = RT
     """
     size = max(M.shape[0], N.shape[1], A.shape[0])
     if min(M.shape[0], N.shape[1], A.shape[0]) == 0:
-        return LargestFlow(0.0, 0.0, 0.0)
+        return 0.0, 0.0, 0.0
     half = duration / 2
     starts = np.array([0.0])
     best, at, upper, used = 0.0, 0.0, 0.0, 0
@@ -60,7 +51,7 @@ def largest_flow(M: Array, A: Array, N: Array, duration: float, rtol: float = RT
         upper = max(upper, float(bounds[~open_].max(initial=0.0)))
         starts = np.concatenate([starts[open_], starts[open_] + half])
         half /= 2
-    return LargestFlow(max(upper, best) * (1 + 64 * size * np.finfo(float).eps), best, at)
+    return max(upper, best) * (1 + 64 * size * np.finfo(float).eps), best, at
 
 
 def _cells(M: Array, A: Array, N: Array, starts: Array, half: float) -> tuple[Array, Array, Array]:

@@ -58,7 +58,7 @@ def lemma_12(detectability: DetectabilityCertificate, samples: SamplingHypothese
     """|C e^{AT}|, mu_bar and k_w: what a window of samples says about the output at its end."""
     plant, T = detectability.plant, samples.window
     ends = float(np.linalg.norm(plant.C @ expm_batch(plant.A, T)[0], 2)) * SAFE
-    k_w = largest_flow(plant.C, plant.A, plant.G, T).upper
+    k_w = largest_flow(plant.C, plant.A, plant.G, T)[0]
     return ConstantList(
         (
             Constant("T", T, r"\text{window}", "Theorem 14, hypothesis", "T"),
@@ -141,8 +141,8 @@ def tightened_weights(detectability: DetectabilityCertificate, samples: Sampling
     mu_bar, k_w, c_2 = first.named("mu_bar").value, first.named("k_w").value, detectability.c_y
     L = np.asarray(np.linalg.cholesky(detectability.P), dtype=np.float64)
     shifted = plant.A + eta / 2 * np.eye(plant.n_states)
-    swing = largest_flow(L.T, shifted, _inverse(L.T), t_star).upper ** 2
-    push = largest_flow(L.T, shifted, plant.G, t_star).upper ** 2
+    swing = largest_flow(L.T, shifted, _inverse(L.T), t_star)[0] ** 2
+    push = largest_flow(L.T, shifted, plant.G, t_star)[0] ** 2
     within_range("e^{eta T}", eta * T)
     f = float(np.expm1(eta * T)) / eta
     alpha_w = 2 * T * c_2 * (mu_bar * np.sqrt(kappa) + 1) ** 2 * k_w**2 * f

@@ -163,18 +163,19 @@ def _times_and_mask(
     plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None
 ) -> tuple[Array, Mask | None]:
     """Times as a vector, and the mask that holds for them."""
-    if isinstance(times, PeriodicSchedule):
-        raise ArgumentError(
-            "`times` must be finitely many, got a PeriodicSchedule. Use schedule.between(start, stop), "
-            "or window_sigma for all windows at once."
-        )
-    if isinstance(times, Schedule):
-        if outputs is not None and times.outputs is not None:
-            raise ArgumentError("`outputs` must be left out where the schedule has its own mask.")
-        schedule = meet(plant, times)
-        tau, mask = schedule.times, schedule.outputs
-    else:
-        tau, mask = checks.vector("times", times), None
+    match times:
+        case PeriodicSchedule():
+            raise ArgumentError(
+                "`times` must be finitely many, got a PeriodicSchedule. Use schedule.between(start, stop), "
+                "or window_sigma for all windows at once."
+            )
+        case Schedule():
+            if outputs is not None and times.outputs is not None:
+                raise ArgumentError("`outputs` must be left out where the schedule has its own mask.")
+            schedule = meet(plant, times)
+            tau, mask = schedule.times, schedule.outputs
+        case _:
+            tau, mask = checks.vector("times", times), None
     if outputs is not None:
         mask = checks.output_mask("outputs", outputs, tau.size)
         if mask is not None and mask.shape[1] != plant.n_outputs:

@@ -17,7 +17,6 @@ from sampling_design.observability.sigma_bracket import (
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window, starts_tried
-from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
@@ -227,9 +226,7 @@ def sigma_of_pieces(
     own = plant.scaled() if plant.has_scales else plant
     middle = middle_rows(own, pieces.timing_tolerance)
     found = bracket_sigma(middle, pieces, rtol, seconds, progress, reached)
-    result = record_of(
-        found, rtol, plant.time_unit, coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
-    )
+    result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
     if pieces.timing_tolerance:
         return _with_tolerance(result, own, found)
     if rigorous:

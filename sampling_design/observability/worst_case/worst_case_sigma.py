@@ -31,7 +31,6 @@ from sampling_design.observability.worst_case.spaced_search import (
     worst_of,
 )
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
-from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -304,7 +303,7 @@ def worst_case_sigma(
 
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds, late=apart)
         result = in_balls(result, proof)
-    coordinates = coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
+    coordinates = coordinates_of(plant)
     least = partial(_least, own, plant, apart, tolerance)
     beside = partial(deviations_of_family, least, family, late, result.lower, left, plant.time_unit)
     return replace(result, family=family, coordinates=coordinates, beside=beside)

@@ -145,7 +145,7 @@ def window_sigma_over_box(
     found = WindowSigmaOverBox(
         lower=best.lower, upper=best.upper, worst=model.values(best.u), window_start=best.s,
         samples=pieces.samples(best.piece), status=best.status, window=pieces.window, rtol=tolerance, cells=best.cells,
-        plant=plant, from_time=pieces.start, coordinates=coordinates_of(plant.nominal.has_scales),
+        plant=plant, from_time=pieces.start, coordinates=coordinates_of(plant.nominal),
     )  # fmt: skip
     left = min(clock.left, BESIDE * max(clock.spent, LEAST_BESIDE))
     if rigorous:

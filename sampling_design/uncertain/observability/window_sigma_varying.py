@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
-from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_of
+from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.deviations import left_of_sigma, lost_one_by_one
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import WindowSigma, asked, record_of
@@ -58,7 +58,7 @@ def window_sigma_varying(
     limit = Budget(seconds)
     flows = cache(plant.transitions)
     bracket = bracket_varying(plant, pieces, tolerance, seconds, flows)
-    found = record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant.has_scales))
+    found = record_of(bracket, tolerance, plant.time_unit, "scaled" if plant.has_scales else "physical")
     proven = plant.tabled and isinstance(plant.C, MatrixTable)  # between samples other C are only looked at
     rough = tolerance if proven else max(tolerance, ROUGH)
 

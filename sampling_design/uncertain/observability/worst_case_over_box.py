@@ -260,5 +260,5 @@ def _record(
     return WorstCaseOverBox(
         lower=min(lower, best.sigma), upper=best.sigma, worst=model.values(best.u), witness=best.witness, status=status,
         family=family, rtol=rtol, plants=judged, plant=model.plant, readings=best.readings,
-        coordinates=coordinates_of(model.plant.nominal.has_scales),
+        coordinates=coordinates_of(model.plant.nominal),
     )  # fmt: skip

@@ -176,7 +176,7 @@ class BackwardRecursion:
             if k:
                 self.fly(columns, c.times[k - 1], c.times[k])
                 self.reset(columns, k - 1)
-        return self.begun(columns, gains, count)
+        return self.begun(columns, gains)
 
     def read(self, columns: Columns, k: int, gains: Array) -> None:
         """Take the readings of one time out."""
@@ -292,7 +292,7 @@ class BackwardRecursion:
         below = d / 2 * (chord - off[1:] - off[:-1]) - bulge
         columns.least += np.maximum(below, 0.0).sum(axis=0) / LOOSE
 
-    def begun(self, columns: Columns, gains: Array, count: int) -> RowBound:
+    def begun(self, columns: Columns, gains: Array) -> RowBound:
         """Add what is known of the start, or close it where nothing is."""
         c, n = self.c, self.c.plant.n
         rest, wrong = columns.g[:n], columns.wrong[:n]

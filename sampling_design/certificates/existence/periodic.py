@@ -146,21 +146,21 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     found = judged(plant, schedule, eta)
     if found.exists:
         return found
-    if turn := too_dense(plant, schedule, eta, found):
-        why = (
-            f"its samples are so dense that {found.eigenvalue:.4g} and the eigenvalues beside it differ by only "
-            f"{turn:.3g} in a period of {schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). "
-            "Sample less often, or count a part of the samples as one."
-        )
-    elif stays_bounded(plant, schedule, eta):
-        why = (
-            f"{found.reason}, as far as rounding can tell (margin {found.margin:.3g}), yet the discounted covariance "
-            "of the filter stays bounded. Move a sample, or scale the plant."
-        )
-    else:
-        return found
     question = f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided"
-    raise UndecidedError(f"{question}: {why}", **_missed(found))
+    if turn := too_dense(plant, schedule, eta, found):
+        raise UndecidedError(
+            f"{question}: its samples are so dense that {found.eigenvalue:.4g} and the eigenvalues beside it differ by "
+            f"only {turn:.3g} in a period of {schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). "
+            "Sample less often, or count a part of the samples as one.",
+            **_missed(found),
+        )
+    if stays_bounded(plant, schedule, eta):
+        raise UndecidedError(
+            f"{question}: {found.reason}, as far as rounding can tell (margin {found.margin:.3g}), yet the discounted "
+            "covariance of the filter stays bounded. Move a sample, or scale the plant.",
+            **_missed(found),
+        )
+    return found
 
 
 def _missed(found: Existence) -> dict[str, object]:
@@ -177,7 +177,7 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     if least.margin > REPAIRED:
         return Existence(True, least.margin, period=schedule.period)
     main, partners = _involved(modes, least, schedule.period)
-    reason = _reason(main, partners, schedule, eta)
+    reason = _reason(main, partners, schedule)
     if least.margin > UNSEEN_TOLERANCE:
         claim = f"every mode that does not decay by itself is observable, but barely (margin {short(least.margin, 3)})"
         reason = f"{claim}: nearly, {reason}"
@@ -324,7 +324,7 @@ def _change(last: Array, Y: Array) -> float:
         return float("inf")
 
 
-def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSchedule, eta: float) -> str:
+def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSchedule) -> str:
     name = format_eigenvalue(main, grain=1e-12 * abs(main))
     if not partners:
         faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis

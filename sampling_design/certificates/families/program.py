@@ -90,7 +90,7 @@ class FamilyProgram:
     def _width(self, scalar: bool) -> int:
         return (self.graph.count - 1 + (self.P2 is None)) * self.pairs + scalar
 
-    def _place(self, matrix: object, node: int) -> slice:
+    def _place(self, node: int) -> slice:
         column = self._columns(node)
         assert column is not None
         return slice(column.start * self.pairs, column.stop * self.pairs)
@@ -116,7 +116,7 @@ class FamilyProgram:
         blocks = [self._edge(k, h, width, slack=True) for k, h in self._edge_points()]
         blocks += [self._node(u, s, width, ratio) for u, s in self._node_points()]
         above = np.zeros((self.pairs, width))
-        above[:, self._place(None, 0)] = -np.eye(self.pairs) / lam
+        above[:, self._place(0)] = -np.eye(self.pairs) / lam
         blocks.append(("psd", above, -floor * conic_programs.svec(self.unit)))
         cap = np.zeros((1, width))
         cap[0, -1] = 1.0
@@ -152,7 +152,7 @@ class FamilyProgram:
         rows, right = np.zeros((lift.shape[0], width)), np.zeros((E.shape[1], E.shape[1]))
         right[n:, n:] = np.eye(E.shape[1] - n)
         if self._columns(node) is not None:
-            rows[:, self._place(None, node)] = -lift
+            rows[:, self._place(node)] = -lift
         else:
             assert self.P2 is not None
             right[:n, :n] = self.P2
@@ -161,11 +161,9 @@ class FamilyProgram:
     def _edge(self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False) -> ConeRows:
         edge = self.graph.edges[k]
         if infinite and edge.source == 0:
-            return self._from_infinity(
-                h, width, self._place(None, edge.target), self.dynamics.information(edge.outputs)
-            )
+            return self._from_infinity(h, width, self._place(edge.target), self.dynamics.information(edge.outputs))
         rows, right, press, E = self._start(edge.source, h, width)
-        rows[:, self._place(None, edge.target)] += (1 + self.margin) * press
+        rows[:, self._place(edge.target)] += (1 + self.margin) * press
         right = right + E.T @ self.dynamics.information(edge.outputs) @ E
         if slack:
             rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
@@ -181,7 +179,7 @@ class FamilyProgram:
 
     def _node(self, node: int, s: float, width: int, ratio: float) -> ConeRows:
         rows, right, press, E = self._start(node, s, width)
-        rows[:, self._place(None, 0)] += ratio * press
+        rows[:, self._place(0)] += ratio * press
         rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
         return "psd", _stored(rows), conic_programs.svec(right)
 

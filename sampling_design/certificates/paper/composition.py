@@ -89,7 +89,7 @@ def compose(split: ModalSplit, proven: ProvenWeights, decay: ResidualDecay, wind
     return ProvenWeights(symmetrise(P1), symmetrise(P2), symmetrise(Qw), 2 * proven.R0, eta, constants)
 
 
-def residual_alone(plant: Plant, decay: ResidualDecay) -> ProvenWeights:
+def residual_alone(decay: ResidualDecay) -> ProvenWeights:
     """Chain of a plant of which nothing is retained: no sample is needed, lambda = 1 but for SLACK."""
     eta = decay.eta
     sizes = np.diagonal(decay.W)

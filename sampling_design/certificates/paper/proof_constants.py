@@ -240,7 +240,7 @@ def constants_from_proof(
     decay = residual_decay(split.residual, share) if split.residual.n_states else None
     if split.retained.n_states == 0:
         assert decay is not None
-        return _record(plant, schedule, variant, split, residual_alone(split.residual, decay), None)
+        return _record(plant, schedule, variant, split, residual_alone(decay), None)
     samples = measure_hypotheses(split.retained, schedule, window, sigma_bar, kappa)
     cap = np.inf if decay is None else RATE_SHARE * decay.eta
     found = _detectability(split.retained, variant, samples, cap, gain, Q, detectability)

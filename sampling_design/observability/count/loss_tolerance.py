@@ -175,7 +175,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     if periods:
         times = _times(schedule, hidden[periods][1])
     if growth:
-        missed = _repeating(kept, schedule, growth, SAME_GROWTH * size, periods)
+        missed = _repeating(kept, schedule, growth, SAME_GROWTH * size)
         if missed is not None:
             count, chosen = missed
             upper, times, periods = (
@@ -285,7 +285,7 @@ def largest_hidden(rows: Array) -> frozenset[int] | None:
 
 
 def _repeating(
-    plant: Plant, schedule: PeriodicSchedule, growth: float, alike: float, periods: int
+    plant: Plant, schedule: PeriodicSchedule, growth: float, alike: float
 ) -> tuple[int, frozenset[int]] | None:
     """A hidden set of the fastest modes that comes again after as many periods, or None where none was found."""
     values = np.linalg.eigvals(plant.A)

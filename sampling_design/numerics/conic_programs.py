@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -52,11 +52,15 @@ def clarabel() -> ModuleType:
     return import_module("clarabel")
 
 
-def quiet_settings() -> DefaultSettings:
-    """Return the solver's own settings, but silent and in one thread."""
+def quiet_settings(tolerance: float | None = None, iterations: int | None = None) -> DefaultSettings:
+    """Return the solver's own settings, but silent, in one thread, and of this tolerance and most iterations."""
     settings = clarabel().DefaultSettings()
     settings.verbose = False
     settings.max_threads = THREADS
+    if tolerance is not None:
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance
+    if iterations is not None:
+        settings.max_iter = iterations
     return settings
 
 
@@ -147,9 +151,7 @@ def solve_cone_program(
     else:  # converted once, not block by block: small problems are posed by the hundred
         A = sparse.csc_matrix(np.vstack([A for _, A, _ in blocks]))
     b = np.concatenate([np.asarray(b, dtype=float).ravel() for _, _, b in blocks])
-    settings = quiet_settings()
-    settings.max_iter = iterations
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance
+    settings = quiet_settings(tolerance, iterations)
     settings.iterative_refinement_enable = refined
     if budget is not None:
         settings.time_limit = float(budget)
@@ -163,12 +165,10 @@ def solve_cone_program(
         found = cl.DefaultSolver(*parts, settings).solve()
     raw = str(found.status)
     record = SolverRecord(
-        name="Clarabel",
-        version=str(cl.__version__),
-        status=_CLARABEL_STATUS.get(raw, FAILED),
+        name="Clarabel", version=str(cl.__version__), status=_CLARABEL_STATUS.get(raw, FAILED),
         iterations=int(found.iterations),
         details={"raw_status": raw, "tolerance": tolerance, "rows": int(b.size), "columns": len(cost)},
-    )
+    )  # fmt: skip
     pieces = np.split(np.asarray(found.z, dtype=float), np.cumsum(sizes)[:-1])
     z = tuple(smat(p) if kind == "psd" else p for (kind, _, _), p in zip(blocks, pieces, strict=True))
     return ConeSolution(np.asarray(found.x, dtype=float), z, record)
@@ -219,15 +219,14 @@ class ConeSolver:
         from scipy import sparse
 
         kinds = _cones()
-        settings = quiet_settings()
+        settings = quiet_settings(tolerance, iterations)
         settings.presolve_enable = False  # what is solved again must keep its rows
-        settings.max_iter = iterations
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance
         if scaled:
             settings.equilibrate_enable = False
             settings.iterative_refinement_enable = False
             settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = NEARLY * tolerance
-        self._given = A, tuple(cones), tolerance, iterations, scaled
+        self._again = partial(ConeSolver, A, tuple(cones), tolerance=tolerance, iterations=iterations)
+        self._scaled = scaled
         self._careful: ConeSolver | None = None
         self._rows, self._columns = A.shape
         self._parts = (
@@ -249,17 +248,11 @@ class ConeSolver:
             self._solver.update(q=np.asarray(cost, float), b=np.asarray(b, float))
         found = self._solver.solve()
         status = _CLARABEL_STATUS.get(str(found.status), FAILED)
-        if self._given[-1] and str(found.status) not in ("Solved", "AlmostSolved"):
-            self._careful = self._careful or _cone_solver(*self._given[:-1], False)
+        if self._scaled and str(found.status) not in ("Solved", "AlmostSolved"):
+            self._careful = self._careful or self._again()
             return self._careful.solve(cost, b)
         return np.asarray(found.x), np.asarray(found.z), status
 
     def __reduce__(self) -> tuple[object, ...]:
         """Another process sets it up anew: Clarabel's own objects stay where they are."""
-        return _cone_solver, self._given
-
-
-def _cone_solver(
-    A: csc_matrix, cones: Sequence[tuple[str, int]], tolerance: float, iterations: int, scaled: bool
-) -> ConeSolver:
-    return ConeSolver(A, cones, tolerance=tolerance, iterations=iterations, scaled=scaled)
+        return partial(self._again, scaled=self._scaled), ()

@@ -30,7 +30,7 @@ def propagate(Y: Array, F: Array, W: Array) -> Array:
 def stationary_covariance(A: Array, C: Array, W: Array) -> Array:
     """Return the stabilising Y of A Y + Y A' + W - Y C'C Y = 0: that of a filter of white noise after a long time.
 
-    Raises LinAlgError where there is none that doubles can tell: modes that are not seen, or on the imaginary axis.
+    Raises LinAlgError where there is none that doubles can tell: modes that are not observed, or on the imaginary axis.
 
     Notes
     -----

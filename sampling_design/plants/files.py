@@ -69,7 +69,9 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
     where = os.fspath(path)
     if not Path(where).suffix and not Path(where).exists():
         file_io.read_bytes(where)  # says so, and what may have been meant
-    read = _by_suffix(where, {"toml": _read_toml, "json": _read_json, "mat": _read_mat, "npz": _read_npz})
+    text = {"toml": file_io.from_toml, "json": file_io.from_json}
+    reads = {key: lambda where, parse=parse: parse(file_io.read_text(where), where) for key, parse in text.items()}
+    read = _by_suffix(where, {**reads, "mat": _read_mat, "npz": _read_npz})
     return plant_from_dict(read(where), where, time_unit)
 
 
@@ -196,14 +198,6 @@ def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[
     return table[suffix]
 
 
-def _read_toml(where: str) -> dict[str, object]:
-    return file_io.from_toml(file_io.read_text(where), where)
-
-
-def _read_json(where: str) -> dict[str, object]:
-    return file_io.from_json(file_io.read_text(where), where)
-
-
 def _as_toml(tree: Tree) -> bytes:
     import tomli_w
 
@@ -280,14 +274,14 @@ def _read_mat(where: str) -> dict[str, object]:
 def _tree(flat: Mapping[str, Any], where: str) -> dict[str, object]:
     """Return flat array names as the tree of the file format."""
     try:
-        checks.known_keys("the file", flat, _FLAT)
         return _tree_of(flat)
     except ArgumentError as error:
         raise _located(where, error) from None
 
 
 def _tree_of(flat: Mapping[str, Any]) -> dict[str, object]:
-    tree: dict[str, object] = {"format": FORMAT, "matrices": {}}
+    checks.known_keys("the file", flat, _FLAT)
+    tree: dict[str, object] = {"format": FORMAT}
     tree["matrices"] = {key: _plain(key, flat[key]) for key in MATRICES if key in flat}
     for key in ("format", "name", "time_unit"):
         if key in flat:

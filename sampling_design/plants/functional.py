@@ -32,7 +32,7 @@ else:
 BESIDE = 1e-2
 """Share of the rows' least gain that the other states may take away in `beside`: sigma is then low by 5e-5 at most."""
 STEPS = 16  # times per state at which a window is looked at to weigh the other states
-DARK = 1e-8  # gain, beside the largest, below which a direction weighs as one of this gain: what decays unseen has none
+DARK = 1e-8  # least gain of a direction's weight, beside the largest: what decays unobserved has none
 
 
 @_frozen
@@ -43,8 +43,8 @@ class FunctionalPlant(Plant):
 
         map A_whole = A map,    C_whole = C map,    map B_whole = B,    map G_whole = G,    H = map[:k]
 
-    Every verb takes it, and what it says of q holds for `map x` of every motion x of the whole plant: what is left
-    out is shown by no output and enters neither z nor q. The first k states are the rows asked for.
+    Every verb takes it, and what it says of q holds for `map x` of every trajectory x of the whole plant: what is left
+    out is observed by no output and enters neither z nor q. The first k states are the rows asked for.
 
     Parameters
     ----------

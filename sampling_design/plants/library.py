@@ -111,7 +111,7 @@ def satellite(period: float = 5554.0) -> Plant:
     cross-track oscillation). Outputs are the three relative positions, as a tracking station resolves
     them from range and two angles while the satellite is in view; a pass lasts about ten minutes of an
     orbit, which is why samples come rarely and in bunches. Along-track position alone would leave the
-    cross-track motion unseen.
+    cross-track motion unobserved.
 
     References
     ----------

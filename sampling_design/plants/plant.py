@@ -240,7 +240,7 @@ class Plant(Record):
         """Whether A, C, G agree to the last bit and the time unit is the same.
 
         That is what a certificate, an estimator's guarantee or a report is about; B, D, names, scales and source do
-        not enter. The same motion written in another time unit holds other numbers, so it is not the same here.
+        not enter. The same dynamics written in another time unit holds other numbers, so it is not the same here.
 
         Examples
         --------
@@ -256,19 +256,11 @@ class Plant(Record):
         """Return the plant in scaled coordinates x~ = x/s_x, y~ = y/s_y, u~ = u/s_u, w~ = w/s_w, scales one."""
         x, y, u, w = (s.scales for s in (self.states, self.outputs, self.inputs, self.disturbances))
         return Plant(
-            self.A * x / x[:, None],
-            self.C * x / y[:, None],
-            B=self.B * u / x[:, None],
-            D=self.D * u / y[:, None],
-            G=self.G * w / x[:, None],
-            time_unit=self.time_unit,
-            name=self.name,
-            source=self.source,
-            states=Signals(self.states.names),
-            outputs=Signals(self.outputs.names),
-            inputs=Signals(self.inputs.names),
+            self.A * x / x[:, None], self.C * x / y[:, None], B=self.B * u / x[:, None], D=self.D * u / y[:, None],
+            G=self.G * w / x[:, None], time_unit=self.time_unit, name=self.name, source=self.source,
+            states=Signals(self.states.names), outputs=Signals(self.outputs.names), inputs=Signals(self.inputs.names),
             disturbances=Signals(self.disturbances.names),
-        )
+        )  # fmt: skip
 
     def augmented(
         self,
@@ -330,14 +322,12 @@ class Plant(Record):
         own = np.array([[float(name == other) for other in moving] for name in names]).reshape(k, len(moving))
         words = [f"{name}_drift" for name in moving]
         return replace(
-            self,
-            A=np.block([[self.A, np.column_stack(E_columns)], [np.zeros((k, n + k))]]),
-            C=np.hstack([self.C, np.column_stack(F_columns)]),
-            B=np.vstack([self.B, np.zeros((k, self.n_inputs))]),
+            self, A=np.block([[self.A, np.column_stack(E_columns)], [np.zeros((k, n + k))]]),
+            C=np.hstack([self.C, np.column_stack(F_columns)]), B=np.vstack([self.B, np.zeros((k, self.n_inputs))]),
             G=np.block([[self.G, np.zeros((n, len(moving)))], [np.zeros((k, self.n_disturbances)), own]]),
             states=self.states.with_more(names, units, scales),
             disturbances=self.disturbances.with_more(words, [""] * len(words), list(moving.values())),
-        )
+        )  # fmt: skip
 
     def unscaled(self) -> Plant:
         """Return the plant with the same matrices and no scales: its sigma is that in physical units."""
@@ -410,15 +400,9 @@ class Plant(Record):
         names = list(self.inputs.names)
         names += [f"{w} (disturbance)" if w in names else w for w in self.disturbances.names if both]
         system = control.ss(
-            self.A,
-            B,
-            self.C,
-            D,
-            name=self.name or None,
-            states=list(self.states.names),
-            inputs=names,
+            self.A, B, self.C, D, name=self.name or None, states=list(self.states.names), inputs=names,
             outputs=list(self.outputs.names),
-        )
+        )  # fmt: skip
         setattr(system, CARRIED, self)
         return system
 
@@ -485,16 +469,6 @@ def signals_of(key: str, value: Signals | Sequence[str] | None, size: int, prefi
 def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:
     """Return the plant of q = onto x, with the matrices that it has there."""
     return Plant(
-        A,
-        C,
-        B=onto @ plant.B,
-        D=plant.D,
-        G=onto @ plant.G,
-        time_unit=plant.time_unit,
-        name=plant.name,
-        states=states,
-        outputs=plant.outputs,
-        inputs=plant.inputs,
-        disturbances=plant.disturbances,
-        source=plant.source,
-    )
+        A, C, B=onto @ plant.B, D=plant.D, G=onto @ plant.G, time_unit=plant.time_unit, name=plant.name, states=states,
+        outputs=plant.outputs, inputs=plant.inputs, disturbances=plant.disturbances, source=plant.source,
+    )  # fmt: skip

@@ -385,26 +385,14 @@ def _record(
     left = basis.T * plant.mass
     r = values.size
     retained = Plant(
-        np.diag(values),
-        np.asarray(plant.C @ basis).reshape(plant.C.shape[0], r),
-        B=np.asarray((plant.B.T @ basis).T).reshape(r, plant.B.shape[1]),
-        D=plant.D,
+        np.diag(values), np.asarray(plant.C @ basis).reshape(plant.C.shape[0], r),
+        B=np.asarray((plant.B.T @ basis).T).reshape(r, plant.B.shape[1]), D=plant.D,
         G=None if plant.G is None else np.asarray((plant.G.T @ basis).T).reshape(r, plant.G.shape[1]),
-        time_unit=plant.time_unit,
-        name=f"{plant.name} (retained)".strip(),
-        outputs=plant.outputs,
-        inputs=plant.inputs,
+        time_unit=plant.time_unit, name=f"{plant.name} (retained)".strip(), outputs=plant.outputs, inputs=plant.inputs,
         disturbances=plant.disturbances,
-    )
+    )  # fmt: skip
     return SparseSplit(
-        plant=plant,
-        decay_rate=decay_rate,
-        retained=retained,
-        basis=checks.freeze(basis),
-        left=checks.freeze(left),
-        eigenvalues=checks.freeze(values),
-        line=float(line),
-        proof=proof,
-        perturbation=float(lost),
+        plant=plant, decay_rate=decay_rate, retained=retained, basis=checks.freeze(basis), left=checks.freeze(left),
+        eigenvalues=checks.freeze(values), line=float(line), proof=proof, perturbation=float(lost),
         clearance=float(np.min(values, initial=np.inf) - line),
-    )
+    )  # fmt: skip

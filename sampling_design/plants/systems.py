@@ -204,7 +204,7 @@ def _polynomials(system: object) -> tuple[list[list[Array]], list[list[Array]]]:
 
 
 def realised(num: list[list[Array]], den: list[list[Array]]) -> Realisation:
-    """Return the observer form of a transfer matrix, output by output: every state is seen.
+    """Return the observer form of a transfer matrix, output by output: every state is observed.
 
         y_i = x_1 + D u,    x_k' = -a_k x_1 + x_{k+1} + b_k u,    s^n + a_1 s^{n-1} + ... + a_n the poles of row i
 

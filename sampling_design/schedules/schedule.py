@@ -89,9 +89,9 @@ class _Sampled(ListRecord[float]):
     def _details(self) -> ScheduleDetails:
         return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}
 
-    def _table_of(self, times: Array, mask: Mask | None) -> dict[str, Array | Mask]:
+    def _columns(self) -> Mapping[str, Array | Mask]:
         """The times, and of each output whether it is measured; all of them where nothing is said."""
-        names = tuple(self.output_names or ())
+        times, mask, names = self.times, self.outputs, tuple(self.output_names or ())  # type: ignore[attr-defined]
         read = np.full((times.size, len(names)), fill_value=True) if mask is None else mask
         names = names or tuple(f"y{i + 1}" for i in range(read.shape[1]))
         return {"time": times, **{name: read[:, i] for i, name in enumerate(names)}}
@@ -157,9 +157,6 @@ class Schedule(_Sampled):
             raise ArgumentError(f"`gaps` must not be negative, got gaps[0] = {float(owned[0])!r}.")
         _positive_gaps(owned[1:], offset=1)
         return cls(np.cumsum(owned), **details)
-
-    def _columns(self) -> Mapping[str, Array | Mask]:
-        return self._table_of(self.times, self.outputs)
 
     def _entries(self) -> Sequence[float]:
         return [float(t) for t in self.times]
@@ -302,9 +299,6 @@ class PeriodicSchedule(_Sampled):
         # times and period as given, not as sums of gaps, so that a file of times comes back to the last bit
         schedule._own(times=owned, period=length)
         return schedule
-
-    def _columns(self) -> Mapping[str, Array | Mask]:
-        return self._table_of(self.times, self.outputs)
 
     def _entries(self) -> Sequence[float]:
         raise CallError(

@@ -149,13 +149,9 @@ class Sensor(PlainRecord):
 
     def __post_init__(self) -> None:
         self._check(
-            **dict.fromkeys(("price", "noise_bound"), checks.nonnegative),
-            noise_deviation=checks.positive,
-            longest_use=checks.whole,
-            hours=week_hours,
-            detection_limit=checks.number,
-            lowest=checks.number,
-        )
+            **dict.fromkeys(("price", "noise_bound"), checks.nonnegative), noise_deviation=checks.positive,
+            longest_use=checks.whole, hours=week_hours, detection_limit=checks.number, lowest=checks.number,
+        )  # fmt: skip
         if self.spacing is not None:
             duration("spacing", self.spacing, "h")
         if self.result_delay is not None:

@@ -88,7 +88,7 @@ def test_repairs_and_counterexamples_follow_the_units(seed):
 
 
 def test_a_no_that_a_bounded_run_contradicts_is_said_to_be_undecided(monkeypatch):
-    monkeypatch.setattr(periodic, "UNSEEN_TOLERANCE", 0.9)
+    monkeypatch.setattr(periodic, "UNOBSERVED_TOLERANCE", 0.9)
     monkeypatch.setattr(periodic, "REPAIRED", 0.95)
     with pytest.raises(
         UndecidedError, match=r"is undecided: .* yet the discounted covariance .* stays bounded"

@@ -142,16 +142,9 @@ def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) ->
     flows, gramians = discounted_flow(A, problem.noise, h * (at + 1) / 2)
     mean = np.einsum("g,gij->ij", weights / 2, rows @ gramians @ rows.T)
     step = _Interval(
-        F=F,
-        W=W,
-        arrives=arrives,
-        joint=(joint[:, :n], spread),
-        share=_mean_inverse(x),
-        weights=weights / 2,
-        nodes=rows @ flows,
-        noise=mean,
-        continuous=_filtered(A, problem.noise, rows * np.sqrt(rate / arrives), h),
-    )
+        F=F, W=W, arrives=arrives, joint=(joint[:, :n], spread), share=_mean_inverse(x), weights=weights / 2,
+        nodes=rows @ flows, noise=mean, continuous=_filtered(A, problem.noise, rows * np.sqrt(rate / arrives), h),
+    )  # fmt: skip
     return [step] * count
 
 

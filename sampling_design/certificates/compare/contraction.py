@@ -151,7 +151,7 @@ def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Arr
     times = np.stack([np.append(each, np.full(steps - len(each), end)) for each, end in zip(inner, ends, strict=True)])
     here = np.arange(steps) < np.array([len(each) for each in inner])[:, None]
     gaps = np.diff(times, prepend=starts[:, None], append=ends[:, None])
-    rows = np.where(here[..., None, None], _rows_at(problem, times), 0.0)  # no sample: nothing is seen
+    rows = np.where(here[..., None, None], _rows_at(problem, times), 0.0)  # no sample: nothing is observed
     unlike, which = np.unique(np.round(gaps / length, 14) * length, return_inverse=True)
     which = which.reshape(gaps.shape)
     F, W = problem.flow(unlike)

@@ -213,15 +213,9 @@ def random_arrivals(
             found = [contraction_bounds(problem, poisson_steps(problem, rows, rate * (1 - p), asked), M)]
     probability, factor = (np.array([each[k] for each in found]) for k in range(2))
     return RandomArrivals(
-        loss_probability=p,
-        arrival_rate=arrival_rate,
-        length=M,
-        samples=samples,
-        ends=ends,
-        probability=probability,
-        factor=factor,
-        time_unit=c.plant.time_unit,
-    )
+        loss_probability=p, arrival_rate=arrival_rate, length=M, samples=samples, ends=ends, probability=probability,
+        factor=factor, time_unit=c.plant.time_unit,
+    )  # fmt: skip
 
 
 def _periods(asked: float, period: float, count: int, default: bool) -> int:

@@ -122,10 +122,6 @@ def tradeoff_curve(
     found = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
     horizons = [made.horizon() for made in found]
     return TradeoffCurve(
-        steps,
-        checks.freeze([h.minimum for h in horizons]),
-        checks.freeze([h.C_w for h in horizons]),
-        checks.freeze([h.C_v for h in horizons]),
-        checks.freeze([made.lam for made in found]),
-        tuple(found),
-    )
+        steps, checks.freeze([h.minimum for h in horizons]), checks.freeze([h.C_w for h in horizons]),
+        checks.freeze([h.C_v for h in horizons]), checks.freeze([made.lam for made in found]), tuple(found),
+    )  # fmt: skip

@@ -112,7 +112,7 @@ def certify_detectability(
 
     Examples
     --------
-    An unseen mode e^{-0.3 t} limits the rate to 0.6:
+    An unobservable mode e^{-0.3 t} limits the rate to 0.6:
 
     >>> plant = Plant([[0.5, 0.0], [0.0, -0.3]], [[1.0, 0.0]])
     >>> certify_detectability(plant, eta=0.59).verify().passed
@@ -133,7 +133,9 @@ def certify_detectability(
     ratio = unit_y / unit_w if bounds is None else checks.positive("c_y / c_w", bounds[1] / bounds[0])
 
     def least(at: float) -> float:
-        return _least_c_y(plant, at * (1 + margin), ratio, floor)
+        """Least c_y for P >= I at this rate with c_w = c_y/ratio; infinite where none exists."""
+        Y = _filter(plant, at * (1 + margin), ratio, floor)
+        return float("inf") if Y is None else float(np.linalg.eigvalsh(Y)[-1])
 
     if eta is None:
         allowed = noise_gain * least(0.0) if bounds is None else bounds[1]
@@ -193,17 +195,6 @@ def _filter(plant: Plant, eta: float, ratio: float, floor: float) -> Array | Non
             return None
     stable = np.max(np.linalg.eigvals(shifted - Y @ plant.C.T @ plant.C).real) < 0
     return Y if stable and np.linalg.eigvalsh(Y)[0] > 0 else None
-
-
-def _symmetric(matrix: npt.ArrayLike) -> Array:
-    """A solver's answer, exactly symmetric."""
-    return symmetrise(np.asarray(matrix, dtype=np.float64))
-
-
-def _least_c_y(plant: Plant, eta: float, ratio: float, floor: float) -> float:
-    """Least c_y for P >= I at this rate with c_w = c_y/ratio; infinite where none exists."""
-    Y = _filter(plant, eta, ratio, floor)
-    return float("inf") if Y is None else float(np.linalg.eigvalsh(Y)[-1])
 
 
 def _largest_P(plant: Plant, eta: float, ratio: float, floor: float, c_y: float) -> tuple[Array, Array]:
@@ -314,7 +305,7 @@ def detectability_from_proof(
     Raises
     ------
     NotDetectableError
-        If no gain makes A - LC Hurwitz; carries the unseen eigenvalues and directions.
+        If no gain makes A - LC Hurwitz; carries the unobservable eigenvalues and directions.
     ArgumentError
         If the given gain does not, or Q is not positive definite.
 
@@ -350,7 +341,7 @@ def detectability_from_proof(
     slowest = float(np.max(np.linalg.eigvals(A_L).real))
     if slowest >= 0:
         raise ArgumentError(f"`gain` must make A - LC Hurwitz, got an eigenvalue with real part {short(slowest)}.")
-    P = _symmetric(solve_continuous_lyapunov(A_L.T, -Q))
+    P = symmetrise(np.asarray(solve_continuous_lyapunov(A_L.T, -Q), dtype=np.float64))
     constants = _proof_numbers(plant, P, L, Q)
     eta, c_w, c_y = (constants.named(name).value for name in ("eta", "c_w", "c_y"))
     return proven(DetectabilityCertificate(plant, P, eta, c_w, c_y, method="proof", gain=L, constants=constants))

@@ -29,7 +29,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.family import AnySchedule
 
-LARGE = 16  # states from which on a plant is parted; with fewer the search for all of them takes no longer
+LARGE = 16  # states from which on a plant is split; with fewer the search for all of them takes no longer
 APART = 4.0  # so many times faster than the slow modes the fast ones decay, at least
 BELOW = 0.7
 """Part of their rate up to which one is sought: nearer to it their Lyapunov matrix grows beyond any noise gain."""

@@ -104,7 +104,7 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, wo
     settled, repeated = (ROUGHLY, ROUGHLY) if share else (STEADY_RTOL, REPEATED_RTOL)
     for period in range(1, (SHORTER_WALK if share else LONGEST_WALK) // problem.count + 2):
         work.spend(WALK_WORK * problem.count)
-        with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
+        with np.errstate(over="ignore", invalid="ignore"):  # an unobservable mode grows until that ends the loop
             around, whole, added = _with_gains(problem, flows, Y, share, period % JUMP == 0)
             if not np.isfinite(around).all():
                 break

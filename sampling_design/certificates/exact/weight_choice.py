@@ -30,7 +30,7 @@ ETA_RANGE = (0.05, 3.0)  # rates that are searched, in units of 1/(mean gap) (fo
 LASTING = 10.0
 """What lasting noise leaves of the squared error, C_w and C_v over eta, is at most so many times (and that by the noise
 gain) its least at any rate that is searched: beyond it a few percent of horizon cost powers of ten of it."""
-BELOW_UNSEEN = 0.9  # fraction of the rate 2 |Re lambda| of an unseen stable mode up to which eta is searched
+BELOW_UNOBSERVABLE = 0.9  # fraction of the rate 2 |Re lambda| of an unobservable stable mode up to which eta is sought
 SCAN = 7
 SLOWER = 3.0, 10.0, 30.0, 100.0, 1000.0
 """Rates so many times below the slowest that is searched are tried, one after the other, where none can be followed."""
@@ -202,14 +202,11 @@ class WeightSearch:
             z = state.start()
             free = [(None, None)] * (z.size - 1)
             found = solve(
-                state.objective,
-                z,
-                jac=True,
-                method="SLSQP",
+                state.objective, z, jac=True, method="SLSQP",
                 bounds=[(0.0, None), *free[1:], (np.log(bounds[0]), np.log(bounds[1]))],
                 constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
                 options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
-            )
+            )  # fmt: skip
             steps, status = int(found.nit), str(found.message)
         except _WorkExhausted:
             steps, status = 0, "the search has used its work, and ended with the best that it had"
@@ -298,7 +295,7 @@ class _WeightVariables:
 
 
 def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
-    """Return the rates that are searched: [0.05, 3]/(mean gap), below what an unseen stable mode allows.
+    """Return the rates that are searched: [0.05, 3]/(mean gap), below what an unobservable stable mode allows.
 
     Raises CertificateError if no rate has a certificate: the period misses a mode that does not decay.
     """
@@ -311,7 +308,7 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
         assert found.eigenvalue is not None
         if found.eigenvalue.real >= 0:
             break
-        high = -2 * BELOW_UNSEEN * found.eigenvalue.real
+        high = -2 * BELOW_UNOBSERVABLE * found.eigenvalue.real
     require_certificate(plant, schedule, high)
     return min(low, high / 8), high
 

@@ -36,7 +36,7 @@ RESIDUAL = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Counterexample(Record):
-    """A periodic schedule on which a direction that does not decay at rate eta is never seen.
+    """A periodic schedule on which a direction that does not decay at rate eta is never observed.
 
         e^{A P} v = mu v,    |mu| >= e^{-eta P/2},    C_i e^{A tau_i} v = 0 at every sample
 
@@ -47,7 +47,7 @@ class Counterexample(Record):
         The gap word and what its samples measure.
     eta : float [1/time]
     eigenvalue : complex
-        Of A: the mode that is not seen; `partners` are those it cannot be told from.
+        Of A: the mode that is not observed; `partners` are those it cannot be told from.
     partners : tuple of complex
     multiplier : complex
         mu.

@@ -24,19 +24,19 @@ from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-UNSEEN_TOLERANCE = 1e-9
+UNOBSERVED_TOLERANCE = 1e-9
 """A scaled pencil [e^{AP} - mu I; O] with a singular value below this misses mu: well above rounding (1e-13 for
 a period of some time constants), well below any schedule on which an estimate is of use."""
 REPAIRED = 1e-2  # a changed schedule counts as repaired from this singular value on: a hundredth of the scaled rows
 ALIAS_TOLERANCE = 1e-6  # two eigenvalues alias when (a - b) P/(2 pi i) is this near a whole number
-NEARLY = 1e-2  # eigenvalues a, b take part in one unseen direction if e^{(a - b) P} is this near 1
+NEARLY = 1e-2  # eigenvalues a, b take part in one unobservable direction if e^{(a - b) P} is this near 1
 MOST_PERIODS, FEWEST_PERIODS, MOST_UPDATES = 400, 40, 8000
 """Of the run that checks a "no": what grows at least linearly is told from what settles after some tens of periods."""
 SETTLING, SETTLED = 10, 1e-4
 """Y has settled if it changes by less than this part of itself over so many periods, in every direction (linear growth:
 2.5e-2 of itself after 400 periods)."""
-HUGE = UNSEEN_TOLERANCE**-2
-"""A mode seen as little as `UNSEEN_TOLERANCE` leaves a covariance of this size: beyond it, Y counts as unbounded."""
+HUGE = UNOBSERVED_TOLERANCE**-2
+"""Covariance that a mode observed as little as that leaves: beyond it, Y counts as unbounded."""
 REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)  # changes of one gap that are tried, as fractions of that gap
 
 
@@ -178,7 +178,7 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
         return Existence(True, least.margin, period=schedule.period)
     main, partners = _involved(modes, least, schedule.period)
     reason = _reason(main, partners, schedule)
-    if least.margin > UNSEEN_TOLERANCE:
+    if least.margin > UNOBSERVED_TOLERANCE:
         claim = f"every mode that does not decay by itself is observable, but barely (margin {short(least.margin, 3)})"
         reason = f"{claim}: nearly, {reason}"
         return Existence(True, least.margin, period=schedule.period, reason=reason)
@@ -220,7 +220,7 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
 
 
 Repair = TypedDict("Repair", {"gap": int, "from": float, "to": float, "margin": float})
-"""One gap of a period, by its index, and what it becomes; `margin` is what is seen then."""
+"""One gap of a period, by its index, and what it becomes; `margin` is what it shows then."""
 
 
 @checked
@@ -265,7 +265,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Rep
 
 
 def _involved(modes: PeriodModes, least: LeastObservedMode, period: float) -> tuple[complex, tuple[complex, ...]]:
-    """The eigenvalues of A of which the unseen direction is made, the largest share first."""
+    """The eigenvalues of A of which the unobservable direction is made, the largest share first."""
     shares = [
         (float(share), c) for block, share in zip(modes.blocks, least.shares, strict=True) for c in block.clusters
     ]
@@ -290,8 +290,8 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
     Notes
     -----
     *Claim.* Y is bounded iff a certificate exists, whatever the weights. This run shares neither modes nor singular
-    values with the test that it checks. An unseen mode grows by at least I a period, so Y never settles; where it grows
-    beyond all numbers it does not settle either.
+    values with the test that it checks. An unobservable mode grows by at least I a period, so Y never settles; where it
+    grows beyond all numbers it does not settle either.
     """
     d = balance(plant.A).d
     A = balanced(plant.A, d) + eta / 2 * np.eye(plant.n_states)

@@ -310,7 +310,8 @@ def certify_family(
 def _refuse_too_long_gap(plant: Plant, longest: float, eta: float) -> None:
     """Say that it is undecided, before anything is tried, where the longest gap alone asks for too large a lambda.
 
-    A window may start as the gap does, and nothing is seen until it ends: lambda is at least e^{(2 max Re mu + eta) h}.
+    A window may start as the gap does, and nothing is measured until it ends: lambda is at least
+    e^{(2 max Re mu + eta) h}.
     """
     rate, most = 2 * float(np.max(np.linalg.eigvals(plant.A).real)) + eta, 2 * float(np.log(LARGEST_LAM))
     if rate * longest > most:
@@ -356,7 +357,7 @@ def without_states(
 
 
 def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], least: NearestFailure) -> UndecidedError:
-    """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
+    """The best of both sides: the largest part of the family that is certified, and the word that is observed worst."""
     if search.budget.over:
         return UndecidedError(
             f"undecided at rate {eta:.6g}: no certificate was proven within the budget, and no schedule of the family "

@@ -11,7 +11,7 @@ from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array
 
 RTOL = 1e-3
-"""Room left between the proven bound and the largest value seen: a thousandth of a constant costs no horizon."""
+"""Room left between the proven bound and the largest value met: a thousandth of a constant costs no horizon."""
 CELLS = 20_000  # most cells ever opened; a stiffer plant keeps a proven but looser bound instead of running for ever
 MODAL_CONDITION = 1e8  # modal coordinates are used only where their basis keeps half of the digits
 
@@ -28,7 +28,7 @@ def largest_flow(
     in d, and the remainder is Taylor's with |e^{Ad}| <= e^{m|d|}, m = max(mu(A), mu(-A)), mu the logarithmic norm.
     Where this is worse than |M e^{Aa} V| e^{m' 2h} |V^{-1} N| from the left end a (stiff plants after their fast
     modes died; V = I or the eigenvectors, m' = mu(V^{-1}AV)^+), that one is taken. A cell closes when its bound is
-    within `rtol` of the largest value seen.
+    within `rtol` of the largest value met.
     *Numerical aspects.* When `cells` are used up the open cells keep their bounds: looser, still proven. A final
     factor 1 + 64 n eps covers rounding.
     """
@@ -55,7 +55,7 @@ def largest_flow(
 
 
 def _cells(M: Array, A: Array, N: Array, starts: Array, half: float) -> tuple[Array, Array, Array]:
-    """Proven bound of every cell [a, a + 2 half], the largest value seen in it, and where."""
+    """Proven bound of every cell [a, a + 2 half], the largest value met in it, and where."""
     left = M @ expm_batch(A, starts)
     centre = left @ expm_batch(A, half)[0]
     right = centre @ expm_batch(A, half)[0]

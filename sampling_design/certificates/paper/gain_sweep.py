@@ -27,7 +27,7 @@ INSTANTS = 17
 def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) -> DetectabilityCertificate:
     """Return the constants of Theorem 10 for the gain and Q of least 2 ln(2 lambda)/min(eta, cap, 2/t*).
 
-    Raises NotDetectableError if a mode is unseen; SolverError if no gain of the sweep could be computed.
+    Raises NotDetectableError if a mode is unobservable; SolverError if no gain of the sweep could be computed.
 
     Notes
     -----

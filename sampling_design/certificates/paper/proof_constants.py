@@ -359,17 +359,9 @@ def _record(
     R = checks.freeze(2 * proven.R0 * np.eye(plant.n_outputs))
     frozen = {key: checks.freeze(getattr(proven, key)) for key in ("P1", "P2", "Qw")}
     return ProofConstants(
-        plant=plant,
-        schedule=schedule,
-        variant=variant,
-        **frozen,
-        R=R,
-        Qv=R,
-        eta=proven.eta,
-        constants=ConstantList((*proven.constants, *theorem_9(proven))),
-        detectability=found,
-        split=split,
-    )
+        plant=plant, schedule=schedule, variant=variant, **frozen, R=R, Qv=R, eta=proven.eta,
+        constants=ConstantList((*proven.constants, *theorem_9(proven))), detectability=found, split=split,
+    )  # fmt: skip
 
 
 def theorem_9(proven: ProvenWeights) -> tuple[Constant, ...]:

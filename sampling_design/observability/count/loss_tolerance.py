@@ -107,7 +107,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     Parameters
     ----------
     plant : Plant
-        Detectable; its modes that do not decay are seen by some output.
+        Detectable; its modes that do not decay are observed by some output.
     schedule : PeriodicSchedule
         Each of its samples is lost with the same probability p, independently of all others.
 
@@ -120,7 +120,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     ArgumentError
         If `schedule` is not periodic or its unit of time is not the plant's.
     NotObservableError
-        If a mode that does not decay is seen by no output.
+        If a mode that does not decay is observed by no output.
 
     Notes
     -----
@@ -191,16 +191,9 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     )
     lower, period = min(lower, upper), schedule.period
     return LossTolerance(
-        lower=lower,
-        upper=upper,
-        limit=limit,
-        growth=float(growth),
-        density=density,
-        period=period,
-        hidden_times=times,
-        periods=periods,
-        claim=claim,
-    )
+        lower=lower, upper=upper, limit=limit, growth=float(growth), density=density, period=period, hidden_times=times,
+        periods=periods, claim=claim,
+    )  # fmt: skip
 
 
 def _borne(growth: float, time: float, samples: float) -> float:

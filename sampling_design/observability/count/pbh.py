@@ -117,7 +117,7 @@ def unobservable_modes(
     *Method.* A mode (lambda, d) is unobservable if |A d - lambda d| <= `rtol` (|A| + |lambda|) |d| and
     |C d| <= `rtol` |C| |d|, entry by entry: then it is an exactly unobservable mode of matrices whose entries differ by
     no more than that part of themselves (Oettli and Prager). Units of states, outputs and time change neither side.
-    Candidates d are the least seen directions of the invariant subspace of each group of eigenvalues that rounding
+    Candidates d are the least observed directions of the invariant subspace of each group of eigenvalues that rounding
     cannot tell apart, lambda its mean, refined by singular vectors of the pencil [A - lambda I; C] in the scales of
     d itself. *Numerical aspects.* The mean of a group is known far better than its members, which a defective
     eigenvalue scatters by eps^{1/m}. `margin` is what this search finds, within a factor of ten.
@@ -238,7 +238,7 @@ class _Pair:
 
 @checked
 def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERANCE) -> None:
-    """Raise if some mode is seen by no output.
+    """Raise if some mode is observed by no output.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ class PeriodModes:
         return rows if schedule.outputs is None else rows * schedule.outputs[:, :, None]
 
     def direction(self, mode: LeastObservedMode, schedule: PeriodicSchedule, before: float) -> Entries:
-        """The least seen state, in the plant's coordinates and of length 1, `before` the period's first sample."""
+        """The least observed state, in the plant's coordinates and of length 1, `before` the period's first sample."""
         tau = schedule.times - schedule.times[0]
         tops = np.array([np.max(block.mean.real * tau) + block.mean.real * before for block in self.blocks])
         # parts that the direction is not made of must not decide what overflows

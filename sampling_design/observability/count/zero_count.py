@@ -151,11 +151,11 @@ def zero_count_bound(plant: Plant, duration: float, of: Wanted = None) -> ZeroCo
     ArgumentError
         If `duration` is negative.
     NotObservableError
-        If some mode is seen by no output; names its eigenvalue and direction.
+        If some mode is observed by no output; names its eigenvalue and direction.
 
     Notes
     -----
-    *Assumptions.* Real A and C, every mode seen by some output. *Claim.* Ce^{At}x, x != 0, has at most k*
+    *Assumptions.* Real A and C, every mode observed by some output. *Claim.* Ce^{At}x, x != 0, has at most k*
     zeros in a closed interval of length T, so that any floor(k*) + 1 distinct times make O_s full rank. For
     several outputs this holds for a generic combination of them, and is conservative. With one output and
     T below the critical length, n times suffice. In the other direction k samples of p outputs can only do if
@@ -213,18 +213,9 @@ def _record(
     )
     critical = n if below else None
     return ZeroCountBound(
-        value=float(value),
-        samples_needed=needed,
-        order=order,
-        frequency_spread=spread,
-        duration=T,
-        n_states=n,
-        n_outputs=plant.n_outputs,
-        critical_length=length,
-        samples_critical=critical,
-        samples_least=least,
-        claim=claim,
-    )
+        value=float(value), samples_needed=needed, order=order, frequency_spread=spread, duration=T, n_states=n,
+        n_outputs=plant.n_outputs, critical_length=length, samples_critical=critical, samples_least=least, claim=claim,
+    )  # fmt: skip
 
 
 def _order_and_spread(clusters: tuple[EigenvalueCluster, ...]) -> tuple[int, float]:

@@ -22,7 +22,7 @@ from sampling_design.records.progress import Progress
 # relative error granted to C e^{A tau}, of |C||e^{A tau}|, for tau |A| up to 200 and in proportion beyond;
 # the tests of the exponentials hold them to it against 50-digit arithmetic
 ALLOWANCE = 1e-12
-_FIRST_CUTS = 4  # intervals per piece to begin with: enough for a picture; one where less was seen elsewhere
+_FIRST_CUTS = 4  # intervals per piece to begin with: enough for a picture; one where less was found elsewhere
 _MOST_NODES = 2_000_000  # evaluations after which a search without a budget ends as well
 _CHUNK = 2_000_000  # numbers per batch, so that long windows with many samples fit into memory
 LARGEST = 1e130  # of entries of A^2, C and e^{A T}: products of them are still numbers
@@ -279,16 +279,10 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
     with np.errstate(divide="ignore"):
         sigma = 1 / np.concatenate(search.values)
     return WindowBracket(
-        lower=lower,
-        status=status,
-        witness=pieces.witness(g, start, right[-1], upper),
-        pieces=pieces,
-        nodes=nodes[order],
-        sigma=sigma[order],
-        owner=owner[order],
-        piece_lower=search.piece_lower,
+        lower=lower, status=status, witness=pieces.witness(g, start, right[-1], upper), pieces=pieces,
+        nodes=nodes[order], sigma=sigma[order], owner=owner[order], piece_lower=search.piece_lower,
         growth=search.pieced.growth,
-    )
+    )  # fmt: skip
 
 
 def _rows(plant: Plant, pieces: WindowPieces, g: int, start: float) -> Array:
@@ -314,12 +308,6 @@ def _nothing_to_see(pieces: WindowPieces) -> WindowBracket:
     infinite = np.full(len(pieces), np.inf)
     owner = np.arange(len(pieces))
     return WindowBracket(
-        lower=np.inf,
-        status="no states",
-        witness=pieces.witness(0, float(pieces.left[0]), np.zeros(0), np.inf),
-        pieces=pieces,
-        nodes=pieces.left,
-        sigma=infinite,
-        owner=owner,
-        piece_lower=infinite,
-    )
+        lower=np.inf, status="no states", witness=pieces.witness(0, float(pieces.left[0]), np.zeros(0), np.inf),
+        pieces=pieces, nodes=pieces.left, sigma=infinite, owner=owner, piece_lower=infinite,
+    )  # fmt: skip

@@ -37,7 +37,7 @@ class WindowWitness(Record):
     samples : (k,) array
         Times of the samples that it holds.
     direction : (n,) array
-        Unit state at the window's start that is seen least.
+        Unit state at the window's start that is observed least.
     sigma : float
         |O x| for that direction.
     """

@@ -31,7 +31,7 @@ from sampling_design.schedules.jitter import TimingTolerance
 
 MOST_TRIED = 24
 """Windows in which late and early samples are tried for the attained bound: those that see least without them."""
-_TURNS = 6  # how often the least seen state and the times that it sees least are sought in turn
+_TURNS = 6  # how often the least observed state and the times that it sees least are sought in turn
 _ORDERS = 8  # N: terms below it count with what the state shows, that of it with the state's size
 _LEAST_SHARE = 1e-3  # of q, however small a term is
 _FACTORS = (1e-7, 0.9)  # k lies between

@@ -8,9 +8,7 @@ from functools import partial
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.count.functional import part_for
-from sampling_design.observability.sigma_bracket import (
-    SigmaBracket,
-)
+from sampling_design.observability.sigma_bracket import SigmaBracket
 from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, asked, sigma_of_pieces
 from sampling_design.plants.plant import Plant

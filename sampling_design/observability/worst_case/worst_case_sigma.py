@@ -439,17 +439,8 @@ def _record(
     at_samples = np.linalg.norm(at if mask is None else at * mask, axis=1)
     frozen = [checks.freeze(a) for a in (s, np.linalg.norm(seen, axis=1), when, at_samples)]
     return WorstCaseSigma(
-        lower=min(proof.lower, upper),
-        upper=upper,
-        witness=checks.freeze(planned + max(late.early)),
-        direction=checks.freeze(x),
-        status=proof.status,
-        method=method,
-        cells=proof.cells,
-        family=family,
-        rtol=rtol,
-        profile=WorstCaseProfile(*frozen),
-        time_unit=plant.time_unit,
-        late=late,
+        lower=min(proof.lower, upper), upper=upper, witness=checks.freeze(planned + max(late.early)),
+        direction=checks.freeze(x), status=proof.status, method=method, cells=proof.cells, family=family, rtol=rtol,
+        profile=WorstCaseProfile(*frozen), time_unit=plant.time_unit, late=late,
         readings=None if readings is None else checks.freeze(readings),
-    )
+    )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
-from sampling_design.design.bounds.evidence import UpperBound, quick_bound
+from sampling_design.design.bounds.evidence import UpperBound, gap_bounded, quick_bound
 from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed, sigma_of_moved
 from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates
 from sampling_design.design.counts import rival_counts
@@ -336,9 +336,14 @@ class _DesignRun:
         target = max(*reached, known / size)
         steps, most, gap = _cuts(problem, self.branches)
         self.sigma = max(self.sigma, target * size)
-        bound = self.guarded(
-            lambda: narrowed(problem, sized.inner, target, steps, self.budget, cutting, most=most, near=gap)
-        )
+        bound, far = sized.inner, target * (1 + gap)
+        if steps and bound.value > far:
+            bound = self.guarded(lambda: gap_bounded(problem, sized.inner, target, self.budget))
+        by_gaps = bound
+        if by_gaps is sized.inner or by_gaps.value > far:
+            bound = self.guarded(
+                lambda: narrowed(problem, by_gaps, target, steps, self.budget, cutting, most=most, near=gap)
+            )
         cut = bound
         bound = sized.bound if cut is sized.inner else self.guarded(lambda: cut.brought_back(sized.canon))
         time_left = not self.budget.over

@@ -71,3 +71,22 @@ def random_schedule(rng, period, spacing, count):
     cuts = np.sort(rng.uniform(0, slack, count))
     times = np.mod(cuts + spacing * np.arange(count) + rng.uniform(0, period), period)
     return np.sort(times)
+
+
+def mean_after_samples(A, C, times, period, window, gaps, weights, late=0.0):
+    """Mean of <Z(g), W> over windows (s, s + T] that follow the samples s of a schedule, as a share of that of tr Z(g).
+
+    Z is linear between its `weights` (N, n, n) at `gaps`, and g the gap after s. Each sample of each window is that
+    much early, that much late or on time, whichever shows less of Z. Every schedule's least sigma^2 is no more.
+    """
+    every = np.sort((np.asarray(times)[:, None] + period * np.arange(int(np.ceil(window / period)) + 2)).ravel())
+    seen = total = 0.0
+    for at, s in enumerate(every[: len(times)]):
+        gap = every[at + 1] - s
+        Z = np.array([[np.interp(gap, gaps, entries) for entries in row] for row in np.moveaxis(weights, 0, -1)])
+        total += np.trace(Z)
+        for t in every[at + 1 :]:
+            if t - s <= window * (1 + 1e-12):
+                rows = [C @ expm(A * (t - s + move)) for move in ((-late, 0.0, late) if late else (0.0,))]
+                seen += min(np.trace(row @ Z @ row.T) for row in rows)
+    return seen / total

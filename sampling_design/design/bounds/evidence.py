@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from sampling_design.design.bounds.gap_bound import GapMultipliers, gap_bound, relax_gaps
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
 from sampling_design.design.bounds.relaxation import JUST_BESIDE, LEAST_SECONDS, Relaxation, grams_at, relax_placed
 from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
@@ -34,11 +35,12 @@ from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
 
-Method = Literal["placed", "alone", "zones", "local"]
+Method = Literal["placed", "alone", "zones", "local", "gaps"]
 
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
 _FAR = 4.0  # exponent by which modes grow more than others over a window: from there on these are looked at alone
+_AIMS, _AIMED = 2, 1.02  # how often a bound by gaps is sought, and beyond what share of the aim once more
 _SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
 
 
@@ -65,7 +67,8 @@ class BoundPart:
     shifted: its windows count from the sample. "local" bounds the schedules of small zones by windows that follow their
     samples: the rows of `tied` (see `tied_windows`) say which, `starts` are of no account, and `tilt` (k,) are the
     multipliers of the spacing. Where cost is limited, `chosen` (k, p) says what each sample measures at most, in the
-    schedules that are meant.
+    schedules that are meant. "gaps" bounds all schedules by windows that begin at each sample: `starts` are the gaps
+    after it at which `weights` are given, and `tilt` the function of distances that adds up to nothing.
     """
 
     method: Method
@@ -90,7 +93,8 @@ class BoundPart:
         sound = np.all(np.isfinite(self.tilt)) and np.isfinite(self.price) and self.price >= 0
         if not total > 0 or least < -1e-12 * total or not sound:
             return np.inf
-        roots = problem.rows.carried(psd_root(self.weights))  # any psd weights prove something: those of the roots
+        bare = psd_root(self.weights)  # any psd weights prove something: those of the roots
+        roots = problem.rows.carried(bare)
         if not np.all(np.isfinite(roots)):
             return np.inf
         Z = roots @ np.swapaxes(roots, 1, 2)
@@ -99,6 +103,9 @@ class BoundPart:
             return placed_bound(problem, self.starts, Z, self.price) if decided else np.inf
         if self.method == "alone":
             return alone_bound(problem, self.starts, Z)
+        if self.method == "gaps":
+            traces = np.sum(bare**2, axis=(1, 2))
+            return gap_bound(problem, GapMultipliers(self.starts, Z, self.tilt), traces / traces.sum())
         if not zoned(problem) or self.zones.shape != (problem.samples, 2) or self.side not in sides(problem):
             return np.inf
         zones = tightened(problem, self.zones, self.side)
@@ -148,9 +155,10 @@ class UpperBound:
 
     def _covers(self, problem: DesignProblem) -> bool:
         """Whether the parts leave no schedule out."""
-        if any(part.method in ("placed", "alone") for part in self.parts):
+        everywhere = ("placed", "alone", "gaps")
+        if any(part.method in everywhere for part in self.parts):
             wanted = {chosen.tobytes() for chosen in affordable_choices(problem)} or {b""}
-            masks = {part.chosen.tobytes() for part in self.parts if part.method in ("placed", "alone")}
+            masks = {part.chosen.tobytes() for part in self.parts if part.method in everywhere}
             return len(masks) == len(self.parts) and masks in ({b""}, wanted)
         fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
         found = {part.side for part in self.parts}
@@ -196,10 +204,10 @@ class UpperBound:
             earlier = int(np.sum(canon.outside.fixed < canon.shift - TINY * canon.outside.period))  # last ones inside
             bare = replace(
                 part,
-                starts=starts if part.method == "alone" else clear_of_ends(canon.outside, starts),
+                starts=starts if part.method in ("alone", "gaps") else clear_of_ends(canon.outside, starts),
                 zones=zones,
                 chosen=np.roll(part.chosen, earlier, axis=0) if part.method == "placed" else part.chosen,
-                tilt=part.tilt / canon.time,
+                tilt=part.tilt * canon.size**2 if part.method == "gaps" else part.tilt / canon.time,
                 price=part.price * canon.size**2,
             )
             parts.append(replace(bare, value=bare.value_for(canon.outside)))
@@ -334,6 +342,27 @@ def local_part(
         "local", np.zeros(0), weights, zones, found.nu, side, tied=found.windows, chosen=chosen_in(problem)
     )
     return replace(bare, value=bare.value_for(problem)), found
+
+
+def gap_bounded(problem: DesignProblem, known: UpperBound, sigma: float, budget: Budget = ENDLESS) -> UpperBound:
+    """The bound of all schedules by their gaps, near a `sigma` that is aimed at, unless what is known is smaller.
+
+    What comes out far above it is aimed at once more, half way.
+    """
+    for _ in range(_AIMS):
+        found = None if budget.over else relax_gaps(problem, sigma, budget.seconds_left(LEAST_SECONDS))
+        if found is None:
+            break
+        weights = problem.rows.S @ found.Z @ problem.rows.S.T
+        weights = (weights + np.swapaxes(weights, 1, 2)) / 2
+        total = float(np.trace(weights, axis1=1, axis2=2).sum())
+        bare = BoundPart("gaps", found.gaps, weights / total, tilt=found.potential / total)
+        part = replace(bare, value=bare.value_for(problem))
+        known = UpperBound(part.value, (part,)) if part.value < known.value else known
+        if part.value <= sigma * _AIMED:
+            break
+        sigma = (sigma + known.value) / 2
+    return known
 
 
 def alone_part(problem: DesignProblem) -> BoundPart:

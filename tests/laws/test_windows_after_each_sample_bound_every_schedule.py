@@ -1,0 +1,113 @@
+"""Law: what windows that follow each sample see in the mean, weighed by the gaps, is below the bound by gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sampling_design import Plant
+from sampling_design.design.bounds.evidence import UpperBound, gap_bounded
+from sampling_design.design.bounds.relaxation import sigma_of_moved
+from sampling_design.design.problem.numbers import DesignProblem
+from tests.cases import few
+from tests.oracles.design import mean_after_samples, random_schedule, window_sigma_scan
+
+ORBIT = (  # of a satellite beside another, seen from there: radial and along the track
+    np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [3.0, 0.0, 0.0, 2.0], [0.0, 0.0, -2.0, 0.0]]),
+    np.eye(2, 4),
+)
+TURN = 2 * np.pi
+OSCILLATOR = (np.array([[0.0, 1.3], [-1.3, 0.0]]), np.array([[1.0, 0.3]]))
+FADING = (np.array([[-0.3, 1.0, 0.0], [0.0, -0.2, 0.5], [0.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.2]]))
+INTEGRATORS = (np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[1.0, 0.0]]))
+
+
+def posed(case, window, period, samples, spacing, late=0.0):
+    A, C = case
+    none = (None,) * len(C)
+    return DesignProblem(Plant(A, C), window, period, spacing, samples, np.zeros((0, 2)), np.zeros(0), none, late=late)
+
+
+def bounded(problem, aim):
+    """The bound by gaps near an aim, from nothing that is known."""
+    return gap_bounded(problem, UpperBound(np.inf, ()), aim)
+
+
+def even(problem):
+    return np.arange(problem.samples) * (problem.period / problem.samples)
+
+
+def reached(problem, times):
+    return sigma_of_moved(problem, times, problem.mask(times))
+
+
+CASES = [
+    (ORBIT, TURN, TURN, 7, 0.1, 0.0),
+    (OSCILLATOR, 4.0, 4.0, 5, 0.2, 0.05),
+    (FADING, 4.5, 3.0, 4, 0.1, 0.0),
+    (INTEGRATORS, 2.3, 4.0, 6, 0.3, 0.0),
+    (FADING, 6.0, 3.0, 3, 0.4, 0.1),
+    (OSCILLATOR, 3.0, 3.0, 2, 0.01, 0.0),
+]
+
+
+@pytest.mark.parametrize("number", few(range(6), 0, 1, 2))
+def test_every_schedule_is_below_its_mean_and_that_below_the_bound(number):
+    case = (A, C), window, period, samples, spacing, late = CASES[number]
+    problem = posed(*case)
+    bound = bounded(problem, reached(problem, even(problem)))
+    (part,) = bound.parts
+    rng = np.random.default_rng(4)
+    drawn = [even(problem), *(random_schedule(rng, period, spacing, samples) for _ in range(8))]
+    for times in drawn:
+        mean = mean_after_samples(A, C, times, period, window, part.starts, part.weights, late)
+        assert reached(problem, times) <= np.sqrt(mean) * (1 + 1e-9)
+        assert np.sqrt(mean) <= bound.value
+    least = window_sigma_scan(A, C, drawn[1], period, window, places=0)
+    assert least <= np.sqrt(mean_after_samples(A, C, drawn[1], period, window, part.starts, part.weights))
+
+
+@pytest.mark.parametrize("number", few(range(6), 1, 3))
+def test_any_function_of_distances_and_any_psd_weights_prove_a_bound(number):
+    case = (A, C), window, period, samples, spacing, late = CASES[number]
+    problem, rng = posed(*case), np.random.default_rng(5)
+    (part,) = bounded(problem, reached(problem, even(problem))).parts
+    roots = rng.normal(size=(*part.weights.shape[:2], 2))
+    others = [
+        replace(part, tilt=part.tilt + rng.normal(scale=0.1 * np.abs(part.tilt).max(), size=part.tilt.size)),
+        replace(part, weights=roots @ np.swapaxes(roots, 1, 2)),
+    ]
+    for other in others:
+        value = other.value_for(problem)
+        assert part.value <= value < np.inf
+        for _ in range(4):
+            times = random_schedule(rng, period, spacing, samples)
+            assert mean_after_samples(A, C, times, period, window, part.starts, other.weights, late) <= value**2
+
+
+@pytest.mark.parametrize("late", [0.0, 0.006])
+def test_equal_gaps_are_proven_best_for_a_satellite_beside_another(late):
+    problem = posed(ORBIT, TURN, TURN, 12, 0.07, late)
+    known = reached(problem, even(problem))
+    assert known <= bounded(problem, known).value <= 1.005 * known
+
+
+def test_multipliers_that_leave_a_gap_out_prove_nothing():
+    problem = posed(*CASES[1])
+    bound = bounded(problem, reached(problem, even(problem)))
+    (part,) = bound.parts
+    assert bound.value_for(problem) == part.value
+    wrong = [
+        replace(part, starts=part.starts[1:], weights=part.weights[1:]),
+        replace(part, starts=part.starts[:-1], weights=part.weights[:-1]),
+        replace(part, starts=part.starts[::-1]),
+        replace(part, starts=part.starts * 1.01),
+        replace(part, tilt=part.tilt[:-1]),
+        replace(part, weights=part.weights - 0.01 * np.eye(2)),
+        replace(part, weights=part.weights * (np.arange(len(part.weights)) != 3)[:, None, None]),
+    ]
+    assert [each.value_for(problem) for each in wrong] == [np.inf] * len(wrong)
+    fixed = replace(problem, fixed=np.array([0.0]))
+    assert part.value_for(fixed) == np.inf  # gaps do not say all of a schedule there
+    assert bounded(fixed, 1.0).value == np.inf
+    assert bounded(problem, 0.0).value == np.inf

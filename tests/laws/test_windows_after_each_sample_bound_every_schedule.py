@@ -8,7 +8,7 @@ import pytest
 from sampling_design import Plant
 from sampling_design.design.bounds.evidence import UpperBound, gap_bounded
 from sampling_design.design.bounds.relaxation import sigma_of_moved
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from tests.cases import few
 from tests.oracles.design import mean_after_samples, random_schedule, window_sigma_scan
 

@@ -359,7 +359,7 @@ def gap_bounded(problem: DesignProblem, known: UpperBound, sigma: float, budget:
         bare = BoundPart("gaps", found.gaps, weights / total, tilt=found.potential / total)
         part = replace(bare, value=bare.value_for(problem))
         known = UpperBound(part.value, (part,)) if part.value < known.value else known
-        if part.value <= sigma * _AIMED:
+        if not sigma * _AIMED < part.value < np.inf:
             break
         sigma = (sigma + known.value) / 2
     return known

@@ -23,7 +23,7 @@ import numpy as np
 from sampling_design.design.bounds.relaxation import grams_at
 from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.weak_duality import rooted
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array, Index, Mask

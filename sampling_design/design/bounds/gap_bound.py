@@ -53,19 +53,19 @@ class _Grid:
         return int(np.ceil(self.problem.window / self.problem.period - 1e-9))
 
     @property
-    def turn(self) -> int:
+    def per_period(self) -> int:
         """Steps to a period."""
         return self.problem.samples * self.parts
 
     @property
     def count(self) -> int:
         """Steps to the periods that hold a window."""
-        return self.periods * self.turn
+        return self.periods * self.per_period
 
     @property
     def width(self) -> float:
         """Of a step."""
-        return self.problem.period / self.turn
+        return self.problem.period / self.per_period
 
     @property
     def ends(self) -> tuple[int, int]:
@@ -79,7 +79,7 @@ class _Grid:
         return self.periods * (self.problem.samples - 2)
 
     @property
-    def held(self) -> Mask:
+    def in_window(self) -> Mask:
         """Steps that begin within a window: a sample in the last of them counts to its end."""
         return np.asarray(np.arange(self.count) * self.width < self.problem.window * (1 - 1e-12))
 
@@ -87,12 +87,12 @@ class _Grid:
     def known(self) -> list[tuple[int, int, bool]]:
         """Each period's first and last step, and whether the sample that a window follows is in it again by then."""
         later = np.arange(1, self.periods + 1) * self.problem.period <= self.problem.window * (1 + 1e-9)
-        return [(m * self.turn, (m + 1) * self.turn, bool(again)) for m, again in enumerate(later)]
+        return [(m * self.per_period, (m + 1) * self.per_period, bool(again)) for m, again in enumerate(later)]
 
     def follow(self, gaps: Index) -> Mask:
         """(gaps, count): steps in which free samples may lie after one of `gaps`, or one a step beside it."""
-        apart, place = self.problem.spacing / self.width, np.mod(np.arange(self.count), self.turn)
-        return np.asarray((place + 2 >= gaps[:, None] + apart) & (place <= self.turn - apart + 1))
+        apart, place = self.problem.spacing / self.width, np.mod(np.arange(self.count), self.per_period)
+        return np.asarray((place + 2 >= gaps[:, None] + apart) & (place <= self.per_period - apart + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def _nodes(grid: _Grid) -> Index:
     near = np.arange(grid.parts - close, grid.parts + close + 1)
     above, step = [int(near[-1])], 1.0
     while above[-1] < high:
-        step = min(step * _WIDER, max(grid.parts, grid.turn // _NODES_ABOVE))
+        step = min(step * _WIDER, max(grid.parts, grid.per_period // _NODES_ABOVE))
         above.append(min(above[-1] + int(step), high))
     found = np.unique(np.concatenate([np.arange(low, near[0], 2), near, above]))
     return np.asarray(found[(found >= low) & (found <= high)])
@@ -218,7 +218,7 @@ class _Program:
         grid, gaps, d, problem = self.grid, self.gaps, self.entries, self.grid.problem
         weights = _between(self.nodes, gaps)
         y = _rows(grid, _least_observable(problem))[0]
-        G = conic_programs.svec(_gram(y, y)) * grid.held[:, None, None]
+        G = conic_programs.svec(_gram(y, y)) * grid.in_window[:, None, None]
         _, begin_b, missed = self.columns
         pairs = []
         apart = np.append(np.any(G[:-1, 1] != G[1:, 0], axis=1), True)  # moved or held unlike what follows
@@ -310,9 +310,9 @@ def _forms(grid: _Grid, weights: Array, Z: Array) -> tuple[Array, Array]:
     sunk = np.max([-along(bend[:, side], weights) for side in (0, 1)], axis=0)
     trace = weights @ np.trace(Z, axis1=1, axis2=2)
     sunk = np.maximum(sunk, 0.0) + trace[:, None] * (third * grid.width / 2)
-    rest = (np.maximum(sunk[1:], sunk[:-1]) + 2 * cross) * (grid.width**2 / 8) * grid.held
+    rest = (np.maximum(sunk[1:], sunk[:-1]) + 2 * cross) * (grid.width**2 / 8) * grid.in_window
     beside = np.maximum(np.concatenate([rest[:1], rest]), np.concatenate([rest, rest[-1:]]))
-    return values * grid.held[:, None], beside
+    return values * grid.in_window[:, None], beside
 
 
 def _most(grid: _Grid, at: Index, values: Array, rest: Array, V: Array) -> Array:

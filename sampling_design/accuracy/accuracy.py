@@ -20,7 +20,7 @@ from sampling_design.accuracy.timing import added, moved_witness, noise_enough, 
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness
 from sampling_design.accuracy.worst_witness import left_open, strongest_witness
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
@@ -146,7 +146,7 @@ def guaranteed_accuracy(
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
     late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    schedule = meet(plant, schedule)
+    schedule = align(plant, schedule)
     rows = requested_rows(plant, of)
     question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
     if question.is_late:

@@ -15,7 +15,7 @@ from sampling_design.accuracy.start import SEMIDEFINITE
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
@@ -151,7 +151,7 @@ def standard_deviation(
     >>> bool(abs(found.worst[0] ** 2 - (1 + 5**0.5) / 2) < 1e-9)  # the golden ratio
     True
     """
-    schedule = meet(plant, schedule)
+    schedule = align(plant, schedule)
     rows = requested_rows(plant, of)
     nothing = np.zeros(plant.n_outputs)
     if schedule.endless:

@@ -35,7 +35,7 @@ from sampling_design.certificates.existence.periodic import certificate_exists, 
 from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -299,7 +299,7 @@ def within_tolerance(
         )
     if known is None or not late.apart:
         return Jitter.around(schedule, late)
-    schedule = meet(known, schedule)
+    schedule = align(known, schedule)
     read = known.n_outputs if schedule.outputs is None else int(schedule.outputs.sum(axis=1).max(initial=0))
     return (OutputJitter if read > 1 else Jitter).around(schedule, late)
 

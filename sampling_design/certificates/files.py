@@ -1,4 +1,4 @@
-"""Certificates from files: one JSON tree, closed by a digest over its canonical form (`seal`)."""
+"""Certificates from files: one JSON tree, closed by a digest over its canonical form (`digest`)."""
 
 from __future__ import annotations
 

@@ -133,28 +133,28 @@ class LeastOverCells(Generic[Batch]):
         found: Array = np.minimum(self.closed_at, self.best)
         return np.asarray(np.minimum(found, self.bound.min(axis=0, initial=np.inf)), dtype=np.float64)
 
-    def meet(self, values: Array) -> Index:
+    def attain(self, values: Array) -> Index:
         """Take values that are attained at one point; the places of those that are less than any before."""
         less = np.flatnonzero(values < self.best)
         self.best[less] = values[less]
         return less
 
-    def run(self, judge: JudgeCells[Batch], cut: CutCells[Batch], look: Callable[[], bool] = lambda: False) -> str:
+    def run(self, judge: JudgeCells[Batch], cut: CutCells[Batch], stop: Callable[[], bool] = lambda: False) -> str:
         """Judge and cut until nothing is open, and say why it ended.
 
         Parameters
         ----------
         judge : callable
-            Bounds (n, R) of some cells, and what `cut` is told of each; None ends the search. It calls `meet`.
+            Bounds (n, R) of some cells, and what `cut` is given of each; None ends the search. It calls `attain`.
         cut : callable
             The parts of cells, and which cell each is a part of; None where one can be cut no further.
-        look : callable
+        stop : callable
             Called before every step; true ends the search.
 
         Returns
         -------
         str
-            "closed", "budget" (after one step at least), "stopped" by `judge` or `look`, "small" where a cell could not
+            "closed", "budget" (after one step at least), "stopped" by `judge` or `stop`, "small" where a cell could not
             be cut, or "interrupted": what was proven before that step stands. An interrupt before anything was judged
             or met is raised.
         """
@@ -162,7 +162,7 @@ class LeastOverCells(Generic[Batch]):
         while not status:
             before, closed = (self.cells, self.bound.copy(), self.closed_at, self.judged), len(self.closed)
             try:
-                status = self._stepped(judge, cut, look)
+                status = self._stepped(judge, cut, stop)
             except KeyboardInterrupt:
                 self.cells, self.bound, self.closed_at, self.judged = before
                 del self.closed[closed:]
@@ -171,12 +171,12 @@ class LeastOverCells(Generic[Batch]):
                 status = "interrupted"
         return status
 
-    def _stepped(self, judge: JudgeCells[Batch], cut: CutCells[Batch], look: Callable[[], bool]) -> str:
+    def _stepped(self, judge: JudgeCells[Batch], cut: CutCells[Batch], stop: Callable[[], bool]) -> str:
         """One step: why the search ends, or nothing."""
         self._close()
         if not len(self.bound):
             return "closed"
-        if look():
+        if stop():
             return "stopped"
         spent = self.budget.over or self.judged + min(self.together, len(self.bound)) > self.most
         if self.judged and spent:

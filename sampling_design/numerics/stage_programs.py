@@ -72,7 +72,7 @@ class StageProgram:
 
     def __init__(self, F: list[Array], B: list[Array], H: list[Array], start: Array | None = None):
         self.n, self.K = H[0].shape[1], len(H)
-        self._at_rest = start is None
+        self._from_zero = start is None
         S = np.zeros((0, self.n)) if start is None else start
         self._rows = np.vstack([S, *H])
         self._stage = np.repeat(np.arange(self.K + 1), [len(S), *map(len, H)]) - 1
@@ -110,7 +110,7 @@ class StageProgram:
         fixed[flat(z[1:], p)] = np.eye(n)
         fixed[flat(p, z[:-1])] = -self._F
         fixed[flat(p, z[1:])] = np.eye(n)
-        if self._at_rest:
+        if self._from_zero:
             fixed[flat(z[:1], p[:1])] = 0.0
             fixed[flat(z[:1], z[:1])] = np.eye(n)
         self._fixed = fixed
@@ -136,7 +136,7 @@ class StageProgram:
             found[gaps] = (B * weight[spots][:, None, :]) @ np.swapaxes(B, 1, 2)
         return found
 
-    def _looked(self, z: Array) -> Array:
+    def _rows_of(self, z: Array) -> Array:
         return np.asarray(np.einsum("rn,rn->r", self._rows, z[self._stage]))
 
     def _gathered(self, weight: Array) -> Array:
@@ -167,9 +167,9 @@ class StageProgram:
         m = self._first(p, target, np.concatenate(gains) / size)
         best, history = (np.inf, z, t, m, p), []
         for _ in range(ITERATIONS):
-            rooms, drift = np.concatenate([1 - t, 1 + t]), self._drift(z, t)
+            slacks, drift = np.concatenate([1 - t, 1 + t]), self._drift(z, t)
             reached = float(np.sum(z[-1] * target[-1]))
-            opened = float(m @ rooms)  # the two sides' difference, where both are balanced
+            opened = float(m @ slacks)  # the two sides' difference, where both are balanced
             gap = max(opened / max(abs(reached + opened), 1e-300), self._off(p, m, target), float(np.abs(drift).max()))
             history.append(gap)
             if gap < best[0]:
@@ -177,12 +177,12 @@ class StageProgram:
             late = len(history) > PATIENCE and gap < CLOSE and 2 * gap > history[-1 - PATIENCE]
             if gap <= tolerance or late or (gap <= near and size * (reached + opened) <= enough):
                 break
-            step = _Newton(self, rooms, m, drift, target).step(opened / m.size)
+            step = _Newton(self, slacks, m, drift, target).step(opened / m.size)
             if step is None:
                 break
             (dz, new_p, dt, dm), primal, dual = step
             z, p, t, m = z + primal * dz, p + dual * (new_p - p), t + primal * dt, m + dual * dm
-            t[self._many :] = self._looked(z)
+            t[self._many :] = self._rows_of(z)
             if np.max(np.abs(t)) >= 1 or np.min(m) <= 0:
                 break
         gap, z, t, m, p = best
@@ -219,7 +219,7 @@ class StageProgram:
         rest = self._gathered(q[self._many :]) - target
         rest[1:] += p
         rest[:-1] -= (p[:, None, :] @ self._F)[:, 0, :]
-        if self._at_rest:
+        if self._from_zero:
             rest[0] = 0.0
         w = self._input_slopes(p) - q[: self._many]
         return max(float(np.max(np.abs(rest))), float(np.max(np.abs(w), initial=0.0)))
@@ -228,7 +228,7 @@ class StageProgram:
         """The banded system for weights D of the bounded entries."""
         band, many = self._fixed.copy(), self._many
         own = self._summed(self._rows[:, :, None] * (self._rows * D[many:, None])[:, None, :])
-        if self._at_rest:
+        if self._from_zero:
             own[0] = np.eye(self.n)
         band[self._own], band[self._between] = own, -self._covariances(1 / D[:many])
         ab = band.reshape(self._size, self._tall).T
@@ -242,49 +242,49 @@ class StageProgram:
         n, K, many = self.n, self.K, self._many
         blocks = np.zeros((K, 2, n))
         blocks[:, 0] = target - self._gathered(aimed[many:])
-        if self._at_rest:
+        if self._from_zero:
             blocks[0, 0] = 0.0
         blocks[:-1, 1] = -drift - self._driven(aimed[:many] / D[:many])
         x, _ = dgbtrs(system[0], self._width, self._width, blocks.ravel()[: self._size], system[1])
         blocks = np.concatenate([x, np.zeros(n)]).reshape(K, 2, n)
         dz, p = blocks[:, 0], blocks[:-1, 1]
-        dt = np.concatenate([(self._input_slopes(p) - aimed[:many]) / D[:many], self._looked(dz)])
+        dt = np.concatenate([(self._input_slopes(p) - aimed[:many]) / D[:many], self._rows_of(dz)])
         return dz, p, dt
 
 
 class _Newton:
     """One iteration: predictor, corrector, and what brings single products nearer to their mean."""
 
-    def __init__(self, program: StageProgram, rooms: Array, m: Array, drift: Array, target: Array):
-        self.program, self.rooms, self.m, self._drift, self._target = program, rooms, m, drift, target
-        weights = m / rooms
+    def __init__(self, program: StageProgram, slacks: Array, m: Array, drift: Array, target: Array):
+        self.program, self.slacks, self.m, self._drift, self._target = program, slacks, m, drift, target
+        weights = m / slacks
         self._D = weights[: m.size // 2] + weights[m.size // 2 :]
         self._system = program.factorised(self._D)
 
     def _towards(self, products: Array) -> tuple[Array, Array, Array, Array]:
         """dz, the new p, dt and dm for wanted products of rooms and multipliers."""
-        aimed = self.program.signed(products / self.rooms)
+        aimed = self.program.signed(products / self.slacks)
         found = self.program.direction(self._system, self._D, aimed, self._drift, self._target)
-        changed = _room_changes(found[2])
-        return (*found, (products - self.m * self.rooms - self.m * changed) / self.rooms)
+        changed = _slack_changes(found[2])
+        return (*found, (products - self.m * self.slacks - self.m * changed) / self.slacks)
 
     def _lengths(self, dt: Array, dm: Array) -> tuple[float, float]:
         """How far both sides may go, at most 1."""
-        return min(_room(self.rooms, _room_changes(dt)), 1.0), min(_room(self.m, dm), 1.0)
+        return min(_longest_step(self.slacks, _slack_changes(dt)), 1.0), min(_longest_step(self.m, dm), 1.0)
 
     def step(self, mean: float) -> tuple[tuple[Array, Array, Array, Array], float, float] | None:
         """The step and its lengths; None where rounding leaves none."""
         *_, dt, dm = self._towards(np.zeros(self.m.size))
         primal, dual = self._lengths(dt, dm)
-        changed = _room_changes(dt)
-        after = float((self.m + dual * dm) @ (self.rooms + primal * changed)) / self.m.size
+        changed = _slack_changes(dt)
+        after = float((self.m + dual * dm) @ (self.slacks + primal * changed)) / self.m.size
         aim = (after / mean) ** 3 * mean
         products = aim - dm * changed
         found = self._towards(products)
         primal, dual = self._lengths(*found[2:])
         for _ in range(CORRECTIONS):
             ahead = min(primal + REACH, 1.0), min(dual + REACH, 1.0)
-            meant = (self.m + ahead[1] * found[3]) * (self.rooms + ahead[0] * _room_changes(found[2]))
+            meant = (self.m + ahead[1] * found[3]) * (self.slacks + ahead[0] * _slack_changes(found[2]))
             again = products + np.maximum(np.clip(meant, NEAR * aim, aim / NEAR) - meant, -aim / NEAR)
             tried = self._towards(again)
             longer = self._lengths(*tried[2:])
@@ -297,12 +297,12 @@ class _Newton:
         return (found, primal, dual) if usable else None
 
 
-def _room_changes(dt: Array) -> Array:
+def _slack_changes(dt: Array) -> Array:
     """How a step changes the rooms."""
     return np.concatenate([-dt, dt])
 
 
-def _room(size: Array, change: Array) -> float:
+def _longest_step(size: Array, change: Array) -> float:
     """How far one may go until an entry is 0."""
     fastest = float(np.max(-change / size))
     return 1 / fastest if fastest > 0 else np.inf

@@ -17,7 +17,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, Sched
 TimesKind = TypeVar("TimesKind", bound=AnySchedule)
 
 
-def meet(plant: Plant, schedule: TimesKind) -> TimesKind:
+def align(plant: Plant, schedule: TimesKind) -> TimesKind:
     """Return `schedule` in the plant's terms: its columns in the order of the plant's outputs.
 
     Raises ArgumentError if it is no schedule, if units of time differ, if the mask has another number of outputs, or if
@@ -39,7 +39,7 @@ def meet(plant: Plant, schedule: TimesKind) -> TimesKind:
     Examples
     --------
     >>> plant = Plant([[0.0]], [[1.0]], time_unit="h")
-    >>> meet(plant, Schedule([0.0, 30.0], time_unit="min"))
+    >>> align(plant, Schedule([0.0, 30.0], time_unit="min"))
     Traceback (most recent call last):
     ...
     sampling_design.errors.ArgumentError: `schedule` is in min and the plant in h. Convert it: schedule.in_unit("h").

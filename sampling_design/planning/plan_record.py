@@ -212,7 +212,7 @@ class Plan(PlanFigures):
     def _late(self) -> str:
         """How early or late samples may be, in words."""
         late, unit = self.problem.timing_tolerance, self.plant.time_unit
-        return late.describe(say=lambda time: spoken(time, unit)) if late else ""
+        return late.describe(in_words=lambda time: spoken(time, unit)) if late else ""
 
     def unsaid(self) -> str:
         """What was asked for and left out, in words."""

@@ -141,7 +141,7 @@ def _system_with_noise(
         tighter = tighter if enough else np.maximum(tighter, _fading(tighter[:upto], len(tighter)))
         since = int(np.argmax(np.any(tighter != noise, axis=1)))
         noise = tighter
-    late = sequence.late.describe(say=lambda time: spoken(time, plan.plant.time_unit))
+    late = sequence.late.describe(in_words=lambda time: spoken(time, plan.plant.time_unit))
     raise UndecidedError(
         f"undecided: nothing bounds what samples {late} do where they are not the plan's. Ask for a smaller "
         "`timing_tolerance`."

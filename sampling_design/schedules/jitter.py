@@ -146,9 +146,9 @@ class TimingTolerance:
         each: list[EarlyLate] = [a if a == b else [a, b] for a, b in zip(self.early, self.late, strict=True)]
         return dict(zip(self.names, each, strict=True)) if self.apart else each[0]
 
-    def describe(self, unit: str = "", say: Callable[[float], str] | None = None) -> str:
-        """In words, such as "up to 2 min early or 20 min late"; `say` puts a time in words, else it is short."""
-        each = say or (lambda time: f"{short(time)} {unit}".rstrip())
+    def describe(self, unit: str = "", in_words: Callable[[float], str] | None = None) -> str:
+        """In words, such as "up to 2 min early or 20 min late"; `in_words` puts a time in words, else it is short."""
+        each = in_words or (lambda time: f"{short(time)} {unit}".rstrip())
         sides = [_in_words(a, b, each) for a, b in zip(self.early, self.late, strict=True)]
         return ", ".join(f"{side} ({n})" for n, side in zip(self.names, sides, strict=True)) if self.apart else sides[0]
 
@@ -158,7 +158,7 @@ class TimingTolerance:
             equal = self.early == self.late and not self.apart
             limit = "less than half of" if equal else "early and late, together less than"
             raise ArgumentError(
-                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {_said(self)}: samples could "
+                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {_in_text(self)}: samples could "
                 "change places."
             )
 
@@ -194,14 +194,14 @@ def shift_of(early: Array, late: Array) -> Array:
 ON_TIME = TimingTolerance()  # samples come when they are planned
 
 
-def _in_words(early: float, late: float, say: Callable[[float], str]) -> str:
+def _in_words(early: float, late: float, in_words: Callable[[float], str]) -> str:
     if early == late:
-        return f"up to {say(early)} early or late" if early else "on time"
-    words = [f"up to {say(t)} {side}" for t, side in ((early, "early"), (late, "late")) if t]
+        return f"up to {in_words(early)} early or late" if early else "on time"
+    words = [f"up to {in_words(t)} {side}" for t, side in ((early, "early"), (late, "late")) if t]
     return " or ".join(words)
 
 
-def _said(tolerance: TimingTolerance) -> str:
+def _in_text(tolerance: TimingTolerance) -> str:
     plain = tolerance.plain
     return short(plain) if isinstance(plain, float) else f"{plain}"
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, sigma_of_pieces
@@ -220,7 +220,7 @@ def compare_schedule(
         raise ArgumentError("`times` must hold at least one sample: there is nothing to compare with the plan.")
     length = checks.positive("window", window)
     taken = Schedule(actual, checks.output_mask("outputs", outputs, actual.size), time_unit=plant.time_unit)
-    plan = meet(plant, schedule)
+    plan = align(plant, schedule)
     planned = plan.between(0.0, float(actual[-1]) + _half_gap(plan))
     if not len(planned):
         raise ArgumentError(f"`schedule` plans no sample up to {float(actual[-1])!r}, the last of `times`.")
@@ -261,7 +261,7 @@ def _judged(
     for k, end in enumerate(ends):
         within = slice(int(np.searchsorted(times, start)), end + 1)
         mask = None if schedule.outputs is None else schedule.outputs[within]
-        part = meet(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
+        part = align(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
         pieces, alone = window_pieces(part, window, start), progress if len(ends) == 1 else None
         reached = np.inf if worst is None else worst.upper
         found = sigma_of_pieces(plant, part, pieces, RTOL, budget / len(ends), alone, reached=reached)
@@ -305,7 +305,7 @@ def _around(plant: Plant, schedule: Schedule, window: float, end: float, start: 
     first, last = (int(np.searchsorted(times, t)) for t in (end - window, end))
     within = slice(max(0, first - AROUND), min(n, last + AROUND + 1))
     mask = None if schedule.outputs is None else schedule.outputs[within]
-    part = meet(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
+    part = align(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
     pieces = window_pieces(part, window, None if within.start else start)
     return sigma_of_pieces(plant, part, pieces, RTOL, np.inf)
 

@@ -10,7 +10,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS
 from sampling_design.numerics.linalg import forced_flow
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -74,7 +74,7 @@ def build_timeline(
     Raises ArgumentError if there is no sample in [0, duration], or the schedule does not fit the plant.
     """
     length = checks.positive("duration", duration)
-    inside = meet(plant, schedule).between(0.0, length)
+    inside = align(plant, schedule).between(0.0, length)
     if not len(inside):
         raise ArgumentError(f"`schedule` holds no sample in [0, {length!r}]: there is nothing to compare.")
     times = inside.times

@@ -425,12 +425,12 @@ def test_a_certificate_is_sealed_and_read_once_however_often_it_is_tried(tries, 
             return found
         return dataclasses.replace(found, passed=False, verdict="refuted", time=1.5, start=0.5)
 
-    counted(record, "sealed")
+    counted(record, "with_digest")
     counted(record, "Horizon")
     counted(proof, "certificate")
     monkeypatch.setattr(proof, "verdict_on_schedule", doubted)
     made = given()
-    assert counts == {"sealed": 1, "certificate": 1, "tried": tries}
+    assert counts == {"with_digest": 1, "certificate": 1, "tried": tries}
     assert made.verify().passed
 
 

@@ -46,7 +46,7 @@ def whole():
     return found, json.loads(json.dumps(found._sealed()))
 
 
-def sealed(data):
+def with_digest(data):
     data["digest"] = digest(data)
     return data
 
@@ -79,7 +79,7 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     assert "Proven" in ran.output
     data = json.loads(path.read_text())
     forged_end(data)
-    path.with_name("forged.json").write_text(json.dumps(sealed(data)))
+    path.with_name("forged.json").write_text(json.dumps(with_digest(data)))
     assert CliRunner().invoke(app, ["verify", str(path.with_name("forged.json"))]).exit_code == 1
     sd.plants.write_plant(sd.Plant([[0.0]], [[1.0]]), tmp_path / "other.toml")
     with pytest.raises(CertificateError, match="is about another plant"):
@@ -153,7 +153,7 @@ def test_what_the_gains_do_not_prove_is_refused(whole, forge):
     data = copy.deepcopy(whole[1])
     forge(data)
     assert check(data)["inequality"] == "digest"
-    assert check(sealed(data))["verdict"] == "refuted"
+    assert check(with_digest(data))["verdict"] == "refuted"
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_sizes_and_order_are_derived(whole, place, value, words):
     for key in place[:-1]:
         at = at[key]
     at[place[-1]] = value
-    verdict = check(sealed(data))
+    verdict = check(with_digest(data))
     assert verdict["verdict"] == "bad file"
     assert words in verdict["reason"]
 
@@ -189,7 +189,7 @@ def test_sizes_and_order_are_derived(whole, place, value, words):
 def test_a_mean_begins_at_a_known_time(whole):
     data = copy.deepcopy(whole[1])
     next(row for row in rows_of(data) if row["since"] is not None)["since"] += 0.01
-    assert "has a mean that does not begin at an earlier time" in check(sealed(data))["reason"]
+    assert "has a mean that does not begin at an earlier time" in check(with_digest(data))["reason"]
 
 
 def test_a_contradiction_is_proven_too(tmp_path):
@@ -207,7 +207,7 @@ def test_a_contradiction_is_proven_too(tmp_path):
     with pytest.raises(Refused, match="the gains do not prove that all must grow by the factor"):
         proven(data)
     data["disproof"]["factors"]["all"] = 1.01 * factor
-    assert check(sealed(data))["verdict"] in ("refuted", "undecided")
+    assert check(with_digest(data))["verdict"] in ("refuted", "undecided")
     data["disproof"]["factors"]["all"] = 0.5
     with pytest.raises(Refused, match="a factor of at most 1 is no contradiction"):
         proven(data)
@@ -247,7 +247,7 @@ def recovered_parts(found):
 
 def proven(data, work=np.inf):
     with np.errstate(all="ignore"):  # as the checkers' door does
-        return recovered.prove(claims.certificate(sealed(data)), recovered.WorkLimit(work))
+        return recovered.prove(claims.certificate(with_digest(data)), recovered.WorkLimit(work))
 
 
 def unseen(data):

@@ -16,7 +16,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.certificates import files
 from sampling_design.certificates.form.constants import Constant, ConstantList
-from sampling_design.certificates.form.digest import sealed
+from sampling_design.certificates.form.digest import with_digest
 from sampling_design.certificates.rigorous import decide
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
@@ -84,7 +84,7 @@ class DecayCertificate(decide.VerifiableRecord):
         return ConstantList([Constant("eta", self.eta, r"\eta", INEQUALITY)])
 
     def to_dict(self) -> dict[str, Any]:
-        return sealed(self.plant, {"claim": "decay", "P": np.asarray(self.P).tolist(), "eta": self.eta}, None)
+        return with_digest(self.plant, {"claim": "decay", "P": np.asarray(self.P).tolist(), "eta": self.eta}, None)
 
 
 def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:

@@ -183,7 +183,7 @@ def sweep_certificates(kind, folder, most=MOST, seed=0, oracles=MOST_ORACLES):
     path, found, judged = Path(folder) / "certificate.json", {}, 0
     for label, data in drawn(whole, most, seed):
         if not label.startswith("digest"):
-            data["digest"] = sealed(data)
+            data["digest"] = with_digest(data)
         text = mutants.as_json(data)
         verdict = checked(text)
         if not label.startswith("digest"):
@@ -205,7 +205,7 @@ def sweep_certificates(kind, folder, most=MOST, seed=0, oracles=MOST_ORACLES):
     return {**found, "judged": judged}
 
 
-def sealed(data):
+def with_digest(data):
     """The digest, made anew; that of data that no certificate can hold does not matter."""
     try:
         return digest(data)
@@ -328,7 +328,7 @@ def sweep_intervals(folder, most=MOST, seed=0):
     assert checked(path.read_text())["verdict"] == "proven"
     for label, data in drawn(whole, most, seed):
         if not label.startswith("digest"):
-            data["digest"] = sealed(data)
+            data["digest"] = with_digest(data)
         text = mutants.as_json(data)
         verdict = checked(text)["verdict"]
         path.write_text(text)

@@ -46,7 +46,7 @@ def searched(rng, together=1, budget=None, most=np.inf, rtol=1e-3, look=lambda: 
         middle = (cells.low + cells.high) / 2
         found = value(middle)
         for each in found:
-            search.meet(each)
+            search.attain(each)
         return found - slope * (cells.high - cells.low)[:, None] / 2, np.zeros(len(middle))
 
     search = LeastOverCells(WHOLE, np.full((1, 2), -np.inf), within(rtol), Budget(budget), together=together, most=most)
@@ -99,7 +99,7 @@ def test_the_best_cell_is_next():
 
 def test_cells_that_cannot_be_cut_or_judged_end_the_search():
     search = LeastOverCells(WHOLE, np.zeros((1, 1)), within(0.1))
-    search.meet(np.array([1.0]))
+    search.attain(np.array([1.0]))
     assert search.run(lambda cells: (np.array([[0.5]]), np.zeros(1)), lambda cells, effect: None) == "small"
     assert search.lower == 0.5
     assert search.run(lambda cells: None, halves) == "stopped"
@@ -110,8 +110,8 @@ def test_bounds_of_cells_as_they_are_made_count_where_they_are_larger():
     search = LeastOverCells(WHOLE, np.zeros((1, 1)), within(0.1), most=1, begin=lambda cells: cells.low[:, None])
     search.run(lambda cells: (np.array([[2.0]]), np.zeros(1)), halves)
     assert search.bound.ravel().tolist() == [2.0, 5.0]
-    assert search.meet(np.array([3.0])).tolist() == [0]
-    assert search.meet(np.array([3.0])).tolist() == []
+    assert search.attain(np.array([3.0])).tolist() == [0]
+    assert search.attain(np.array([3.0])).tolist() == []
 
 
 def test_depth_first_every_cell_is_proven_or_cut():

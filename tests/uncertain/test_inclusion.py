@@ -556,7 +556,7 @@ def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls
         function = getattr(module, name)
         monkeypatch.setattr(module, name, lambda *given: [counts.update([name]), function(*given)][1])
 
-    for module, name in ((record, "sealed"), (proof, "certificate"), (search, "judged_while_sought")):
+    for module, name in ((record, "with_digest"), (proof, "certificate"), (search, "judged_while_sought")):
         counted(module, name)
     T = np.array([[1.0, 0.0], [1.0, 1e-3]])
     inverse = np.linalg.inv(T)
@@ -565,7 +565,7 @@ def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls
     turned = certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.5, 1.0), eta=0.1, pieces=8)
     assert turned.solver.details["digits"] == 15
     assert counts.pop("judged_while_sought") > 1
-    assert counts == {"sealed": 1, "certificate": 1}
+    assert counts == {"with_digest": 1, "certificate": 1}
     assert turned.verify().verdict == "proven"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.form.constants import Constant, ConstantList
-from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, sealed
+from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, with_digest
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant
@@ -149,7 +149,7 @@ class DetectabilityCertificate(VerifiableRecord):
         """Plain data as in the file, digest included."""
         numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
         parts = {"claim": DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
-        return sealed(self.plant, parts, self.solver)
+        return with_digest(self.plant, parts, self.solver)
 
     def explain(self) -> str:
         """Say what the certificate promises."""

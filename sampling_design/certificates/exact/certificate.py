@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
 from sampling_design.certificates.form.constants import Constant, ConstantList
-from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed
+from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, with_digest
 from sampling_design.certificates.form.horizon import (
     CONTRACTION,
     Horizon,
@@ -27,7 +27,7 @@ from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.numerics.linalg import generalised_max
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -238,7 +238,7 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
-        return sealed(self.plant, self._stated(), self.solver)
+        return with_digest(self.plant, self._stated(), self.solver)
 
     def _stated(self) -> dict[str, object]:
         """What the file states; arrays as they are."""
@@ -337,7 +337,7 @@ class Certificate(SampledCertificate):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        schedule = meet(self.plant, self.schedule)
+        schedule = align(self.plant, self.schedule)
         if not len(schedule):
             raise ArgumentError("`schedule` must hold at least one sample: without any there is nothing to certify.")
         object.__setattr__(self, "schedule", schedule)

@@ -55,7 +55,7 @@ class SearchEffort:
     ) -> None:
         self.total = WorkLimit(ALL_WORK) if total is None else total
         self.whole = self.total if alone else self.total.share(PARTS[balls is not None] * self.total.left)
-        self.one = (CHECK_WORK, BALL_WORK) if alone else (ONE_CHECK, ONE_IN_BALLS)
+        self.of_one_check = (CHECK_WORK, BALL_WORK) if alone else (ONE_CHECK, ONE_IN_BALLS)
         self.looks, self.floats = WorkLimit(2 * share * LOOK_WORK), WorkLimit(share * CHECK_WORK, self.whole)
         self.balls = WorkLimit(BALL_WORK if balls is None else balls, self.whole, BALL_PRICE)
 
@@ -70,8 +70,8 @@ class SearchEffort:
 
     def check(self) -> WorkLimit:
         """What the next check in floats may do."""
-        return self.floats.share(min(self.one[0], self.whole.left))
+        return self.floats.share(min(self.of_one_check[0], self.whole.left))
 
     def check_in_balls(self) -> WorkLimit:
         """What the next check in balls may do."""
-        return self.balls.share(min(self.one[1], self.whole.left / BALL_PRICE))
+        return self.balls.share(min(self.of_one_check[1], self.whole.left / BALL_PRICE))

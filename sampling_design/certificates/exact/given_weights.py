@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -57,7 +57,7 @@ def certifiable_schedule(plant: Plant, schedule: AnySchedule) -> AnySchedule:
 
     Raises ArgumentError if they do not fit, or the schedule holds no sample later than time 0.
     """
-    schedule = meet(plant, schedule)
+    schedule = align(plant, schedule)
     # the period of an endless one comes again, though its first sample be at time 0
     if not len(schedule) or (schedule.times[-1] == 0 and not schedule.endless):
         raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")

@@ -67,12 +67,12 @@ class PreciseWindows:
     def _settled(self) -> list[Matrix]:
         """Y after each sample of the period in the long run."""
 
-        def near(before: Matrix, after: Matrix) -> bool:
+        def converged(before: Matrix, after: Matrix) -> bool:
             size = np.sqrt(np.abs(np.diagonal(floats(after))))
             return bool(np.all(np.abs(floats(after - before)) <= REACHED * size * size[:, None]))
 
         try:
-            return one_period(self.frame, long_run(self.frame, 0.0, near, self._spend), 0.0)[0]
+            return one_period(self.frame, long_run(self.frame, 0.0, converged, self._spend), 0.0)[0]
         except ArithmeticError:
             raise SolverError(
                 "the information did not settle: the schedule is on the edge of what can be certified."

@@ -46,7 +46,7 @@ class ScheduleProof:
     ) -> None:
         self.long_run = long_run  # lambda that the search expects there, where it has looked
         # of the last check: its work, its room, and why it failed
-        self.left_open: tuple[WorkLimit, float, UndecidedError] | None = None
+        self.last_undecided: tuple[WorkLimit, float, UndecidedError] | None = None
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, NoiseWeights(*weights[1:]), weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
@@ -84,7 +84,7 @@ class ScheduleProof:
         as the long run has it. What only took too much work is neither: then the wide room is next. Raises
         UndecidedError if the proof does not close, or not with the work that it may do.
         """
-        finer, efforts, again = 1, self.efforts, self.left_open
+        finer, efforts, again = 1, self.efforts, self.last_undecided
         anywhere, at_samples = self.peaks
         beyond = self.long_run / max(at_samples.value, 1.0)
         far = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
@@ -127,7 +127,7 @@ class ScheduleProof:
         question = origin_question(self.canon)
         reason = f"undecided: the proof of the certificate did not close: {verdict.reason}.{question}"
         self.peaks, error = (anywhere, at_samples), UndecidedError(reason, verification=verdict, certificate=made)
-        self.left_open = work, room, error
+        self.last_undecided = work, room, error
         raise error
 
     def witness_of(self, peak: RiccatiPeak) -> Witness:
@@ -141,7 +141,7 @@ class ScheduleProof:
 
 
 def as_proven(made: Provable) -> Provable:
-    """A certificate that was proven while it was sought: its file, sealed and read as an auditor reads, holds that."""
+    """A certificate that was proven while it was sought: its file, as an auditor reads it, holds that."""
     assert plain(certificate(made.to_dict())) == plain(made.content), "the file says something else"
     return made
 

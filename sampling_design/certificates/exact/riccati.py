@@ -27,12 +27,12 @@ REPEATED_RTOL = 1e-6
 MERGED_RTOL = 1e-5
 """A window below (1 + this) times the periodic solution brings nothing new: lambda is then its own within 1e-5."""
 MAX_DOUBLINGS = 40
-LONGEST_WALK, SHORTER_WALK = 4000, 1000
+LONGEST_ITERATION, SHORTER_ITERATION = 4000, 1000
 """Samples that are followed one by one where the composition of periods is lost in rounding; likewise with a floor."""
 FLOOR = 1e-13  # share of every state's variance that is added before each sample where nothing settles without
 ROUGHLY = 1e-3
 """Change from period to period at which it has settled with such a floor: it serves as a proposal, and lies above."""
-WALK_WORK = 150  # work of one of them
+ITERATION_WORK = 150  # work of one of them
 JUMP = 5  # periods that are followed between two jumps
 MAX_STEPS = 100_000
 LONGEST_REFINED = 200
@@ -63,11 +63,11 @@ class RiccatiPeak:
     fraction: float
 
 
-def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = None, walk: bool = True) -> Array:
+def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = None, iterate: bool = True) -> Array:
     """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
     One period is a `CovarianceMap`; two periods are again one, so that 2^k periods cost k compositions and slow plants
-    need no more time than fast ones. Where rounding spoils that, and `walk` allows it, samples are followed one by one,
+    need no more time than fast ones. Where rounding spoils that, and `iterate` allows it, samples follow one by one,
     counted in `work`. Raises SolverError if Y has not settled after 2^40 periods: the schedule is on the edge of what
     can be certified.
 
@@ -83,8 +83,8 @@ def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = N
     with suppress(np.linalg.LinAlgError):
         if (found := _doubled(problem, flows)) is not None:
             return found
-    for share in (0.0, FLOOR) if walk else ():
-        found = _walked(problem, flows, share, WorkLimit(np.inf) if work is None else work)
+    for share in (0.0, FLOOR) if iterate else ():
+        found = _iterated(problem, flows, share, WorkLimit(np.inf) if work is None else work)
         if found is not None:
             return found
     raise SolverError(
@@ -93,7 +93,7 @@ def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = N
     )
 
 
-def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, work: WorkLimit) -> Array | None:
+def _iterated(problem: WindowProblem, flows: tuple[Array, Array], share: float, work: WorkLimit) -> Array | None:
     """The periodic solution by following it: slower, but no composition of periods is lost in rounding.
 
     Every `JUMP` periods it jumps to where the gains of the last one would settle (a step of Newton's method, from
@@ -102,8 +102,8 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, wo
     """
     Y = np.eye(problem.size)
     settled, repeated = (ROUGHLY, ROUGHLY) if share else (STEADY_RTOL, REPEATED_RTOL)
-    for period in range(1, (SHORTER_WALK if share else LONGEST_WALK) // problem.count + 2):
-        work.spend(WALK_WORK * problem.count)
+    for period in range(1, (SHORTER_ITERATION if share else LONGEST_ITERATION) // problem.count + 2):
+        work.spend(ITERATION_WORK * problem.count)
         with np.errstate(over="ignore", invalid="ignore"):  # an unobservable mode grows until that ends the loop
             around, whole, added = _with_gains(problem, flows, Y, share, period % JUMP == 0)
             if not np.isfinite(around).all():

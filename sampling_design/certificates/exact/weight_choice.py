@@ -100,7 +100,7 @@ class WeightSearch:
         self.interrupted = False
 
     @contextmanager
-    def kept(self, met: list[ChosenWeights]) -> Iterator[None]:
+    def ended_by_interrupt(self, met: list[ChosenWeights]) -> Iterator[None]:
         """After an interrupt the search ends with what it has met; it is on its way where that is nothing."""
         try:
             yield
@@ -339,7 +339,7 @@ def choose_weights(
     for k, rate in enumerate(rates):
         if search.work.over:
             break
-        with search.kept(guesses):
+        with search.ended_by_interrupt(guesses):
             report(0.3 * k / len(rates), f"rate {rate:.3g}")
             guess = search.best_guess(rate, REFERENCE)
             guesses += [] if guess is None else [guess]
@@ -365,15 +365,15 @@ def choose_weights(
     for k, guess in enumerate(guesses[: search.starts]):
         if found and search.work.over:
             break
-        with search.kept(guesses):
+        with search.ended_by_interrupt(guesses):
             report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
             found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
     best = min(found or guesses, key=attrgetter("value"))
     if free and not search.work.over:
-        with search.kept(guesses):
+        with search.ended_by_interrupt(guesses):
             report(0.7, "descent on shape and rate")
             best = min(best, search.descend(best, REFERENCE, bounds), key=attrgetter("value"))
-    with search.kept(guesses):
+    with search.ended_by_interrupt(guesses):
         report(0.8, "descents at other budgets")
     shapes = [(0.0, best), (0.0, guesses[0])]
     _descend_at_others(search, shapes, guesses, bounds, max(budgets))
@@ -398,7 +398,7 @@ def _descend_at_others(
         if search.work.over:
             break
         above = reference > REFERENCE
-        with search.kept(guesses):
+        with search.ended_by_interrupt(guesses):
             start = search.judged(last.P2, last.eta, reference) or search.best_guess(last.eta, reference)
             if start is not None:
                 made = search.descend(start, reference, bounds if above else (start.eta, start.eta))

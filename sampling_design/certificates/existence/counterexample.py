@@ -263,11 +263,11 @@ def _aliasing_periods(plant: Plant, eta: float, family: SamplingFamily) -> tuple
     for cycle in 2 * np.pi / speeds[speeds > 0]:
         low, high = max(np.ceil(shortest / cycle - 1e-9), 1.0), np.floor(longest / cycle + 1e-9)
         if high - low < most:
-            turns = np.arange(low, high + 1)
+            multiples = np.arange(low, high + 1)
         else:
-            turns = np.unique(np.rint(np.geomspace(low, high, most)))
-            left += float(high - low + 1 - turns.size)
-        found += [float(cycle * k) for k in turns]
+            multiples = np.unique(np.rint(np.geomspace(low, high, most)))
+            left += float(high - low + 1 - multiples.size)
+        found += [float(cycle * k) for k in multiples]
     return found, left
 
 

@@ -11,7 +11,7 @@ from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.numerics.balancing import balance, balanced, balanced_rows
 from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import expm_batch, positive_or_one
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for, rows_between_samples
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
@@ -140,7 +140,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     False
     """
     plant = part_for(plant, of, decay_rate=eta)
-    schedule = meet(plant, schedule)
+    schedule = align(plant, schedule)
     if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
     found = judged(plant, schedule, eta)
@@ -243,7 +243,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Rep
     *Method.* Every gap is lengthened and shortened by 28 fractions from 0.1 % to 50 %, smallest change first;
     the first change with margin at least 0.01 is returned, so the answer is checked.
     """
-    schedule, modes = meet(plant, schedule), period_modes(plant, float(eta))
+    schedule, modes = align(plant, schedule), period_modes(plant, float(eta))
     if not modes.blocks:
         return None
     changes = np.outer(schedule.gaps, REPAIR_FRACTIONS)
@@ -270,13 +270,13 @@ def _involved(modes: PeriodModes, least: LeastObservedMode, period: float) -> tu
         (float(share), c) for block, share in zip(modes.blocks, least.shares, strict=True) for c in block.clusters
     ]
     # a turn more or less in e^{(a - b) P} does not count; what is left is how far a and b are from being aliased
-    near = [(share, c.value) for share, c in shares if _turned(c.value - least.rate, period) <= NEARLY]
+    near = [(share, c.value) for share, c in shares if _phase_difference(c.value - least.rate, period) <= NEARLY]
     found = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [least.rate]
     main = next((v for v in found if v.imag > 0), found[0])
     return main, tuple(v for v in found if v != main)
 
 
-def _turned(difference: complex, period: float) -> float:
+def _phase_difference(difference: complex, period: float) -> float:
     """|e^{difference P} - 1|, at most some units."""
     exponent = difference * period
     return float(abs(np.expm1(complex(min(exponent.real, 1.0), exponent.imag))))
@@ -330,22 +330,22 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
         faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis
         rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if faded else ""
         return f"the eigenvalue {name} is observable from no sample of the period{rate}"
-    turned = [v for v in partners if _whole_turns(main - v, schedule.period)]
-    others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
-    if not turned:
+    aliased = [v for v in partners if _multiples_of_2_pi(main - v, schedule.period)]
+    others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in aliased or partners)
+    if not aliased:
         apart = max(abs(v - main) for v in partners)
         why = f"the samples of a period of {short(schedule.period)} do not distinguish them"
         return f"the eigenvalue {name} lies within {short(apart)} of {others}: {why}"
-    turns = _whole_turns(main - turned[0], schedule.period)
-    every = np.abs((main - turned[0]).imag) * schedule.gaps / (2 * np.pi)
+    multiples = _multiples_of_2_pi(main - aliased[0], schedule.period)
+    every = np.abs((main - aliased[0]).imag) * schedule.gaps / (2 * np.pi)
     by_gap = np.all(np.abs(every - np.round(every)) <= ALIAS_TOLERANCE * np.maximum(every, 1))
-    many = "2 pi" if turns == 1 else f"{turns} times 2 pi"
+    many = "2 pi" if multiples == 1 else f"{multiples} times 2 pi"
     what = f"their difference is {many} over the period {short(schedule.period)}"
     if by_gap and len(schedule) > 1:
         what += " and a multiple of 2 pi over every gap"
     return f"the eigenvalue {name} is aliased with {others}: {what}"
 
 
-def _whole_turns(difference: complex, period: float) -> int:
+def _multiples_of_2_pi(difference: complex, period: float) -> int:
     """By how many times 2 pi two eigenvalues differ over a period; none where they are nearly one."""
     return round(abs(difference.imag) * period / (2 * np.pi))

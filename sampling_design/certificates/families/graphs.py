@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import START, SamplingFamily, Steps, Word, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -30,7 +30,7 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
                 f"`schedule` must have the plant's outputs {', '.join(plant.outputs.names)} in their order, as its "
                 f"tolerances have, got {len(family.by_output) if names is None else ', '.join(names)}."
             )
-        planned = meet(plant, period_of(family.planned))  # its columns are the plant's outputs, and need no names
+        planned = align(plant, period_of(family.planned))  # its columns are the plant's outputs, and need no names
         return family.replanned(
             PeriodicSchedule(planned.gaps, planned.first, planned.outputs, time_unit=planned.time_unit)
         )

@@ -1,1 +1,1 @@
-"""What every certificate is made of: a seal, a verdict, constants with their sources, horizons."""
+"""What every certificate is made of: a digest, a verdict, constants with their sources, horizons."""

@@ -21,7 +21,7 @@ STATED_MARGIN = 1e-4
 """Margin that a certificate states, Pi >= (1 + this) P1; what is left of `RESOLUTION` is for the proof."""
 
 
-def sealed(plant: Plant, parts: Mapping[str, object], solver: SolverRecord | None) -> Tree:
+def with_digest(plant: Plant, parts: Mapping[str, object], solver: SolverRecord | None) -> Tree:
     """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
     data: Tree = {
         "format": FORMAT,

@@ -24,7 +24,7 @@ from sampling_design.certificates.paper.observable_case import (
 )
 from sampling_design.certificates.paper.sampling_hypotheses import measure_hypotheses
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.plants.modes import ModalSplit, split_modes
@@ -234,7 +234,7 @@ def constants_from_proof(
         raise ArgumentError("`plant` must have at least one state: of none the paper's proof says nothing.")
     if isinstance(schedule, SamplingFamily):
         raise ArgumentError("`schedule` must be a Schedule or a PeriodicSchedule for a plant that is exactly known.")
-    schedule = meet(plant, schedule)
+    schedule = align(plant, schedule)
     split = split_modes(plant)
     share = None if variant == "paper" else RESIDUAL_SHARE
     decay = residual_decay(split.residual, share) if split.residual.n_states else None

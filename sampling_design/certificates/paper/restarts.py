@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -107,7 +107,7 @@ def output_predictor(plant: Plant, schedule: Schedule | PeriodicSchedule, t: flo
     array([[-0.5,  1.5]])
     """
     window = checks.positive("window", window)
-    inside = meet(plant, schedule).window(checks.number("t", t), window)
+    inside = align(plant, schedule).window(checks.number("t", t), window)
     O = observability_matrix(plant, inside.times - (t - window), inside.outputs)
     left, sizes, right = np.linalg.svd(O, full_matrices=False)
     n = plant.n_states

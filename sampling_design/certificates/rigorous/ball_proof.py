@@ -47,7 +47,7 @@ def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list
     Raises ArithmeticError if it leaves I behind by far, or does not settle.
     """
 
-    def near(before: Matrix, after: Matrix) -> bool:
+    def converged(before: Matrix, after: Matrix) -> bool:
         return _size(after - before) <= 1e-2 * inflation
 
     def spend(maps: int) -> None:
@@ -56,14 +56,14 @@ def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list
     if not frame.schedule.periodic:
         spend(frame.schedule.N)
         return one_period(frame, frame.start.mid(), inflation)
-    kept, worst = one_period(frame, long_run(frame, inflation, near, spend), inflation)
+    kept, worst = one_period(frame, long_run(frame, inflation, converged, spend), inflation)
     if not worst < LOST:
         raise ArithmeticError("the recursion settles far above what is claimed")
     return kept, worst
 
 
 def long_run(
-    frame: ScheduleFrame, inflation: float, near: Callable[[Matrix, Matrix], bool], spend: Callable[[int], None]
+    frame: ScheduleFrame, inflation: float, converged: Callable[[Matrix, Matrix], bool], spend: Callable[[int], None]
 ) -> Matrix:
     """Y after a period's last sample, in the long run of noise that is inflated; midpoints.
 
@@ -78,7 +78,7 @@ def long_run(
         before, Y = Y, _apply(period, Y)
         if not _size(Y) < BEYOND:
             break
-        if near(before, Y):
+        if converged(before, Y):
             return Y
         period = _then(period, period)
     raise ArithmeticError("the recursion does not settle")

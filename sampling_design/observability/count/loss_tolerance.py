@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.numerics.modal_flow import exponential
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.count.pbh import require_observable
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.modes import split_modes
@@ -151,7 +151,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     >>> round(even.lower, 3), round(uneven.lower, 3), round(even.limit, 3)
     (0.533, 0.658, 0.73)
     """
-    schedule = meet(plant, schedule)
+    schedule = align(plant, schedule)
     kept = split_modes(plant).retained
     density = len(schedule) / schedule.period
     values = np.linalg.eigvals(kept.A) if kept.n_states else np.zeros(0)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import smallest_singular
 from sampling_design.numerics.modal_flow import exponential
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -172,7 +172,7 @@ def _times_and_mask(
         case Schedule():
             if outputs is not None and times.outputs is not None:
                 raise ArgumentError("`outputs` must be left out where the schedule has its own mask.")
-            schedule = meet(plant, times)
+            schedule = align(plant, times)
             tau, mask = schedule.times, schedule.outputs
         case _:
             tau, mask = checks.vector("times", times), None

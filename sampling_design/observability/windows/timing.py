@@ -170,23 +170,23 @@ def rows_without(rows: Array, lost: Array) -> Array:
     lost = np.where(bounded[:, None, None], lost, 0.0)
     rounding = 8 * n * count * _EPS * (np.trace(W, axis1=1, axis2=2) + np.trace(lost, axis1=1, axis2=2))
 
-    def kept_by(log_k: Array) -> Array:
+    def rows_left(log_k: Array) -> Array:
         k = np.exp(log_k)[:, None, None]
         M = (1 - k) * W - (1 / k - 1) * lost - (1 + 1 / k) * rounding[:, None, None] * np.eye(n)
         return np.asarray((M + np.swapaxes(M, 1, 2)) / 2)
 
     low, high = (np.full(len(rows), np.log(end)) for end in _FACTORS)
     ends = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
-    least = [np.linalg.eigvalsh(kept_by(k))[:, 0] for k in ends]
+    least = [np.linalg.eigvalsh(rows_left(k))[:, 0] for k in ends]
     for _ in range(_SECTIONS):
         left = least[0] >= least[1]  # the best is not above the second of the two
         low, high = np.where(left, low, ends[0]), np.where(left, ends[1], high)
         kept, known = np.where(left, ends[0], ends[1]), np.where(left, least[0], least[1])
         tried = np.where(left, high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
-        found = np.linalg.eigvalsh(kept_by(tried))[:, 0]
+        found = np.linalg.eigvalsh(rows_left(tried))[:, 0]
         ends = [np.where(left, tried, kept), np.where(left, kept, tried)]
         least = [np.where(left, found, known), np.where(left, known, found)]
-    best = kept_by(np.where(least[0] >= least[1], ends[0], ends[1]))
+    best = rows_left(np.where(least[0] >= least[1], ends[0], ends[1]))
     return np.asarray(np.where(bounded[:, None, None], _root(best), 0.0))
 
 

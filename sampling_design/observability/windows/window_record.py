@@ -190,7 +190,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         return self._concluded(proven, where, _REASONS)
 
 
-def asked(
+def checked_pieces(
     schedule: Schedule | PeriodicSchedule,
     window: float,
     start: float | None,

@@ -6,11 +6,11 @@ from dataclasses import replace
 from functools import partial
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.sigma_bracket import SigmaBracket
 from sampling_design.observability.windows.deviations import deviations_of
-from sampling_design.observability.windows.window_record import RTOL, WindowSigma, asked, sigma_of_pieces
+from sampling_design.observability.windows.window_record import RTOL, WindowSigma, checked_pieces, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -120,7 +120,7 @@ def window_sigma(
     0.0
     """
     plant = part_for(plant, of, window)
-    aligned = meet(plant, schedule)
+    aligned = align(plant, schedule)
     late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
     if late:
         late.require_order(SamplingSet(aligned).min_gap)
@@ -131,7 +131,7 @@ def window_sigma(
                 f"`window` must be longer than early and late together, {short(2 * late.radius)}, got {short(window)}: "
                 "no sample is certain to lie in it."
             )
-    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget, late)
+    pieces, tolerance, seconds = checked_pieces(aligned, window, start, RTOL if rtol is None else rtol, budget, late)
     limit = Budget(seconds)
     found = sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
     beside = partial(deviations_of, plant, aligned, window, late, found.lower, start, limit.left)

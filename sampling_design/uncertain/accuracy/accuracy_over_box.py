@@ -14,7 +14,7 @@ from sampling_design.accuracy.bounds import Bound
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
@@ -127,7 +127,7 @@ def accuracy_over_box(
     of the box could not be bounded.
     """
     refuse_others("over a box of parameters", **others)
-    aligned, rtol = meet(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
+    aligned, rtol = align(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
     require_constant_box(plant, "accuracy")
     schedule = period_of(aligned, "`schedule` must be periodic for accuracy over a box of parameters.")
     w = _entries("w_bound", w_bound, plant.nominal.n_disturbances)
@@ -146,7 +146,7 @@ def accuracy_over_box(
         return np.asarray(-bound * (1 - rtol) <= -best)
 
     def attained(theta: Array, low: Array) -> None:
-        for k in search.meet(-low).tolist():
+        for k in search.attain(-low).tolist():
             worst[k] = theta
 
     def judged(cell: BoxCells) -> tuple[Array, Array]:
@@ -163,7 +163,7 @@ def accuracy_over_box(
         return False
 
     search = LeastOverCells(start, np.full((1, len(rows)), -np.inf), enough, given)
-    search.meet(np.zeros(len(rows)))
+    search.attain(np.zeros(len(rows)))
     for corner in _corners(plant):
         attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
     status = search.run(judged, cut, look)

@@ -13,7 +13,7 @@ from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows, row_arguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -208,7 +208,7 @@ class _ScaledProblem:
                 f"{checks.described(schedule)}."
             )
         still = plant.at(0.0)
-        self.plant, self.schedule, self.rows = plant, meet(still, schedule), requested_rows(still, of)
+        self.plant, self.schedule, self.rows = plant, align(still, schedule), requested_rows(still, of)
         wanted = row_arguments(of)
         if isinstance(wanted, tuple) and not set(wanted) <= set(still.states.names):
             raise ArgumentError("`of` must name states, or be rows of a matrix: the rows of outputs vary in time.")

@@ -74,7 +74,7 @@ def branch(
         if value is not None and rounds % DESCENTS == 0:
             best = descended(best, value, ends)
         rounds += 1
-        search.meet(np.array([best[0]]))
+        search.attain(np.array([best[0]]))
         return None if is_unobservable(*best[1:]) else (lower[:, None], effect)
 
     def look() -> bool:

@@ -12,7 +12,7 @@ from sampling_design.errors import UndecidedError
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.numerics.filtering import propagate, update_with_gain
 from sampling_design.numerics.linalg import positive_or_one
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -99,7 +99,7 @@ def existence_over_box(
 
     Raises UndecidedError if the budget ran out before every cell was proven and no plant without certificate was found.
     """
-    schedule, eta = meet(plant.nominal, schedule), checks.nonnegative("eta", eta)
+    schedule, eta = align(plant.nominal, schedule), checks.nonnegative("eta", eta)
     if not schedule.endless:
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)

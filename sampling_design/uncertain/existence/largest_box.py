@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -148,7 +148,7 @@ def largest_box(
     if (window is None) == (eta is None):
         raise ArgumentError("`window` or `eta` must be given, one of them and not both.")
     model = BoxModel.of(plant, "largest_box")
-    aligned = meet(plant.nominal, schedule)
+    aligned = align(plant.nominal, schedule)
     tolerance = checks.positive("rtol", rtol)
     if window is not None:
         least = checks.nonnegative("at_least", at_least)
@@ -224,7 +224,7 @@ def _searched(
 
     def fails(u: Array) -> None:
         nonlocal worst
-        if search.meet(_level(model, u[None])).size:
+        if search.attain(_level(model, u[None])).size:
             worst = u
 
     def judged(near: BoxCells) -> tuple[Array, Array]:

@@ -132,7 +132,7 @@ class InclusionPlants:
             prior = np.diag(1 / self.centre.states.scales**2)
             problem = window_problem(self.centre, self.family.nominal, prior, *self.weights, eta)
             with np.errstate(over="raise", invalid="raise"):  # growth beyond all numbers within a gap
-                Y = np.mean(periodic_riccati_solution(problem, walk=False), axis=0)
+                Y = np.mean(periodic_riccati_solution(problem, iterate=False), axis=0)
             own = np.linalg.cholesky(Y)  # in scaled states
             rows = own / np.linalg.norm(own, axis=1)[:, None]  # whose condition no units change
             root = np.linalg.solve(own, np.diag(1 / self.centre.states.scales)).T

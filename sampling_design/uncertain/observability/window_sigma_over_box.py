@@ -8,12 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.deviations import left_of_sigma
 from sampling_design.observability.windows.pieces import WindowPieces
-from sampling_design.observability.windows.window_record import asked
+from sampling_design.observability.windows.window_record import checked_pieces
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
@@ -137,8 +137,8 @@ def window_sigma_over_box(
     start: float | None = None,
 ) -> WindowSigmaOverBox:
     """Bound sigma over all positions of a window and all plants of a box: see `window_sigma`."""
-    aligned = meet(plant.nominal, schedule)
-    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
+    aligned = align(plant.nominal, schedule)
+    pieces, tolerance, seconds = checked_pieces(aligned, window, start, RTOL if rtol is None else rtol, budget)
     require_moderate(plant.nominal)
     model, clock = BoxModel.of(plant, "window_sigma"), Budget(seconds)
     best = _searched(WindowsOverBox(model, pieces), tolerance, seconds, progress)

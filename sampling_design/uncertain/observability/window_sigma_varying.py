@@ -8,11 +8,11 @@ from functools import cache, partial
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.alignment import meet
+from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.deviations import left_of_sigma, lost_one_by_one
 from sampling_design.observability.windows.pieces import WindowPieces
-from sampling_design.observability.windows.window_record import WindowSigma, asked, record_of
+from sampling_design.observability.windows.window_record import WindowSigma, checked_pieces, record_of
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
@@ -48,13 +48,13 @@ def window_sigma_varying(
         raise ArgumentError(
             f"`schedule` must be a Schedule within the plant's horizon, got {checks.described(schedule)}."
         )
-    aligned = meet(plant.at(0.0), schedule)
+    aligned = align(plant.at(0.0), schedule)
     outside = [t for t in aligned.times.tolist() if not 0 <= t <= plant.horizon]
     if outside:
         raise ArgumentError(
             f"`schedule` must lie within the plant's horizon [0, {plant.horizon:.6g}], got a sample at {outside[0]!r}."
         )
-    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
+    pieces, tolerance, seconds = checked_pieces(aligned, window, start, RTOL if rtol is None else rtol, budget)
     limit = Budget(seconds)
     flows = cache(plant.transitions)
     bracket = bracket_varying(plant, pieces, tolerance, seconds, flows)

@@ -227,7 +227,7 @@ def _searched(
                 inner = one(model.balanced_at(u), FINER * rtol, left).lower if wide else 0.0
                 # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
                 known[tuple(u.tolist())] = max(found.lower, inner / (UP * float(model.unit.max()))), inner
-                if search.meet(np.array([found.upper])).size:
+                if search.attain(np.array([found.upper])).size:
                     best = _Worst(found.upper, u, found.witness, found.readings)
             if best.sigma == 0:
                 return None

@@ -175,7 +175,8 @@ def certify(
     Qw : (q, q) array, optional
         Default diag(1/s_w^2): a disturbance of typical size counts one per unit of time, whatever that unit is.
     R, Qv : (p, p) arrays, optional
-        Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
+        Default 2 diag(1/s_y^2): R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2); one stands for both. A family without scales
+        that is undecided so is tried with noise as large as disturbances of one move outputs, which it says.
     w_bound, v_bound, initial_error : float or array, optional
         As the estimators take them, in place of the weights: the certificate has those of `weights_from_bounds`, for
         narrow radii instead of the least horizon. Where one is not given, or zero, the plant's scales stand for it.
@@ -239,10 +240,8 @@ def certify(
     >>> from sampling_design.schedules.schedule import PeriodicSchedule
     >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     >>> certificate = certify(oscillator, PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0, 0.0], [0.0, 1.0]])
-    >>> print(f"{certificate.lam:.3f}, M > {certificate.horizon().minimum:.3f}")
-    5.528, M > 4.277
-    >>> certificate.verify().passed
-    True
+    >>> print(f"{certificate.lam:.3f}, M > {certificate.horizon().minimum:.3f}, {certificate.verify().passed}")
+    5.528, M > 4.277, True
     >>> certify(oscillator, PeriodicSchedule([0.5, 1.0]), w_bound=0.1, v_bound=0.2, initial_error=1.0).eta
     1.0
     """

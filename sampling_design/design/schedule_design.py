@@ -31,6 +31,8 @@ from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
 
+VACUOUS = 100.0  # times sigma from which on a bound on all schedules says nothing of the one that was found
+
 
 class ErrorDecay(NamedTuple):
     """How fast an error dies by itself, and which samples would show the slow modes."""
@@ -111,6 +113,11 @@ class ScheduleDesign(PlainRecord):
         if self.schedule is None or self.upper_bound == 0:
             return 0.0
         return max(0.0, 1.0 - self.sigma / self.upper_bound)
+
+    @property
+    def bound_is_vacuous(self) -> bool:
+        """Whether the bound on all schedules is so far above sigma that it says nothing of this one."""
+        return self.schedule is not None and self.upper_bound > VACUOUS * self.sigma
 
     @property
     def coordinates(self) -> str:
@@ -222,7 +229,8 @@ class ScheduleDesign(PlainRecord):
         if self.schedule is None:
             return "every mode decays by itself at the rate asked for"
         least = f"sigma at least {short(self.sigma)}, of no schedule more than {short(self.upper_bound)}"
-        return f"{least}: gap {100 * self.gap:.2f} % ({self.coordinates} coordinates, state at the window's start)"
+        gap = "a bound that says nothing of this design" if self.bound_is_vacuous else f"gap {100 * self.gap:.2f} %"
+        return f"{least}: {gap} ({self.coordinates} coordinates, state at the window's start)"
 
     def _rows(self) -> list[tuple[str, str]]:
         if self.schedule is None:
@@ -309,10 +317,12 @@ class ScheduleDesign(PlainRecord):
         makes = "makes" if len(self.schedule) == 1 else "make"
         late = f", each {tolerance.describe(unit)}" if tolerance else ""
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
+        near = f"an optimality gap of {100 * self.gap:.1f} %"
+        if self.bound_is_vacuous:
+            near = "a bound so far off that it says nothing of how near the best this schedule is"
         return (
             f"{many} {makes} {rows or 'every state'} observable in every window, with sigma >= "
-            f"{short(self.sigma)}{late}; no admissible schedule can exceed {short(self.upper_bound)}, an "
-            f"optimality gap of {100 * self.gap:.1f} %.{left}"
+            f"{short(self.sigma)}{late}; no admissible schedule can exceed {short(self.upper_bound)}, {near}.{left}"
         )
 
 

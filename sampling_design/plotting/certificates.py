@@ -13,6 +13,7 @@ from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.information import InformationCurve, information_curve
 from sampling_design.certificates.exact.window_problem import noise_input
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
+from sampling_design.certificates.families.graphs import family_in_words
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plotting import style
 from sampling_design.records.record import short
@@ -82,7 +83,7 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
     ax.set_ylabel("prior weight over information kept")
     family = certificate.family
     unit = "" if family.time_unit else f", times in {plant.time_unit}"
-    said = f"lambda {short(certificate.lam, 4)} proven{unit}. {family.explain()}"
+    said = f"lambda {short(certificate.lam, 4)} proven{unit}. {family_in_words(plant, family)}"
     ax.set_title(said, loc="left", fontsize="medium", wrap=True)
     style.legend(ax)
     return ax

@@ -40,21 +40,20 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     sigma_found = result.window
     draw_window_sigma(sigma_found, bottom, beside=False, origin=schedule.origin)
     bottom.set_title("", loc="left")  # the whole picture has one
-    note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
-    bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
+    top_value, gap = float(sigma_found.profile.sigma.max()), "the bound on all schedules is too far off to say more"
+    if not result.bound_is_vacuous:
+        note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
+        bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
+        top_value, gap = max(result.upper_bound, top_value), f"gap {100 * result.gap:.1f} %"
     least = draw_deviations(result.deviations, bottom)
     style.legend(bottom, 2)
-    style.from_below(
-        bottom, min(sigma_found.lower, least), max(result.upper_bound, float(sigma_found.profile.sigma.max()))
-    )
+    style.from_below(bottom, min(sigma_found.lower, least), top_value)
     if schedule.origin is not None:
         label = bottom.get_xlabel()
         style.dates(bottom, schedule.time_unit, schedule.origin)
         bottom.set_xlabel(label.partition(" [")[0])
     late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
-    figure.suptitle(
-        f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %", wrap=True
-    )
+    figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, {gap}", wrap=True)
     return style.Panels([top, bottom])
 
 

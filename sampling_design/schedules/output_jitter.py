@@ -222,7 +222,7 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
 
     def explain(self) -> str:
         """Say which schedules belong."""
-        late = self.tolerance.describe()
+        late = self.tolerance.describe(self.schedule.time_unit or "")
         return f"Each output of a sample read at a time of its own, {late}. Nominal: {self.schedule.explain()}"
 
 

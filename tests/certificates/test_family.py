@@ -288,3 +288,32 @@ def test_rows_of_a_long_schedule_are_kept_without_their_zeros(monkeypatch):
         sd.certify(plant, late, eta=0.1, P2=np.eye(6))
     stored, whole = np.sum(held[0], axis=0)
     assert stored < 0.1 * whole
+
+
+def test_a_family_is_certified_in_whatever_unit_its_outputs_are():
+    family = Jitter(PeriodicSchedule([1.0]), 0.05)
+    fine = sd.certify(Plant(OSCILLATOR.A, 1e6 * OSCILLATOR.C), family, eta=0.8)
+    assert "noise as large as what disturbances of 1 do to an output" in fine.explain()
+    R = fine.R * 1e12  # of the same noise, in the unit of the oscillator's output
+    assert fine.lam == pytest.approx(sd.certify(OSCILLATOR, family, eta=0.8, R=R, Qv=R).lam, rel=0.02)
+    assert 0.5 < R[0, 0] / 2 < 2
+
+
+def test_the_undecided_without_bounds_say_that_units_were_weighed():
+    units = np.diag([1e9, 1e-9])
+    far = Plant(units @ OSCILLATOR.A @ np.diag([1e-9, 1e9]), OSCILLATOR.C @ np.diag([1e-9, 1e9]))
+    one = Jitter(PeriodicSchedule([1.0]), 0.05)
+    with pytest.raises(
+        UndecidedError, match="noise of 1 count alike: give w_bound, v_bound and initial_error"
+    ) as caught:
+        sd.certify(far, one, eta=0.8)
+    assert caught.value.details["status"] == "undecided"
+    assert sd.certify(far, one, w_bound=[1e9, 1e-9], v_bound=1.0, initial_error=[1e9, 1e-9]).verify()
+
+
+def test_tolerances_of_outputs_are_told_by_their_names_and_unit():
+    plant = Plant(OSCILLATOR.A, np.eye(2), time_unit="s", outputs=["strip", "laboratory"])
+    schedule = PeriodicSchedule([1.0, 1.5], outputs=[[1, 0], [1, 1]], time_unit="s")
+    made = sd.certify(plant, schedule, timing_tolerance={"strip": 0.02, "laboratory": 0.05}, eta=0.5, P2=np.eye(2))
+    for said in (str(made), made.explain(), made.to_latex(), made.plot().get_title(loc="left")):
+        assert "up to 0.02 s early or late (strip), up to 0.05 s early or late (laboratory)" in said

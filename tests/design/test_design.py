@@ -9,6 +9,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Requirement, design_schedule, window_sigma
 from sampling_design.design.bounds import branching
+from sampling_design.design.bounds.derivatives import remainder_of_bend
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.design import GAP, _cuts
 from sampling_design.design.problem.posing import pose
@@ -263,3 +264,24 @@ def test_cuts_that_take_longer_are_fewer(states, cuts):
     problem = pose(Plant(np.zeros((states, states)), np.eye(states)), rule.replace(period=4.0), 4)
     assert _cuts(problem, None) == (*cuts, GAP)
     assert _cuts(problem, 7) == (7, 7, 0.0)
+
+
+def test_a_bound_that_says_nothing_is_called_so():
+    near = design_schedule(library.oscillator(), Requirement(window=6.0, samples=4), starts=1, branches=0)
+    assert not near.bound_is_vacuous
+    far = replace(near, upper_bound=1e30)
+    assert far.bound_is_vacuous
+    assert "a bound so far off that it says nothing of how near the best this schedule is" in far.explain()
+    assert "a bound that says nothing of this design" in str(far)
+    bottom = far.plot()[1]
+    assert bottom.get_ylim()[1] < 10
+    assert "too far off to say more" in bottom.figure.get_suptitle()
+
+
+def test_a_remainder_that_is_no_number_bounds_nothing():
+    spin = np.array([[4.0, 1000.0], [-1000.0, 4.0]])
+    node, width = np.array([0, 1]), np.array([0.1, 0.1])
+    rest = remainder_of_bend(
+        spin, np.array([1e290 * np.eye(2), 0.0 * np.eye(2)]), 9, node, width, np.array([[np.inf]] * 2)
+    )
+    assert rest.ravel().tolist() == [np.inf, 0.0]

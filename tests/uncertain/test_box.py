@@ -360,3 +360,10 @@ def test_what_has_no_meaning_over_a_box_is_refused():
         guaranteed_accuracy(oscillator(), schedule, w_bound=1.0, v_bound=1.0)
     with pytest.raises(ArgumentError, match="must be left out for accuracy over a box"):
         guaranteed_accuracy(oscillator(), schedule, w_bound=[1.0, 1.0], v_bound=1.0, start=0.0)
+
+
+def test_growth_beyond_doubles_is_refused_in_one_sentence():
+    spiral = Plant([[4.0, 1.0], [-1.0, 4.0]], [[1.0, 0.0]])
+    box = UncertainPlant(spiral, [UncertainParameter("a", -0.1, 0.1, A=[[1, 0], [0, 0]])])
+    with pytest.raises(ArgumentError, match=r"up to t = 125: unstable modes of some plant of the box overflow"):
+        window_sigma(box, PeriodicSchedule([60.0]), 130.0)

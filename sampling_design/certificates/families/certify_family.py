@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,7 @@ from sampling_design.certificates.form.digest import FAMILY_CLAIM, RESOLUTION, S
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.filtering import propagate
-from sampling_design.numerics.linalg import symmetrise
+from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -55,6 +55,8 @@ ROUNDS = 8  # how often a gap that the proof found may be added to the grid
 SCAN = 6
 GOLDEN = 4
 """Rates of the first scan, and bisections of the best one's neighbourhood afterwards."""
+COMMENSURATE = 1e3  # up to this ratio noise of one and disturbances of one are weighed beside each other
+RESPONSE = "noise as large as what disturbances of 1 do to an output within the longest gap"
 TRIED_RATES = 3
 MEMORY_GAIN = 1.1
 """Factor by which two levels of memory must raise the information that is kept, for a further one to be tried."""
@@ -303,8 +305,44 @@ def certify_family(
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     _refuse_too_long_gap(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
     least = refute(plant, family, bounds[0], quick=True)
-    found = FamilySearch(plant, family, weights, given, noise_gain, limit).decide(bounds, list(levels), least, report)
-    return certified(plant, family, weights, given, found)
+
+    def decided(weights: NoiseWeights) -> FamilyCertificate:
+        search = FamilySearch(plant, family, weights, given, noise_gain, limit)
+        return certified(plant, family, weights, given, search.decide(bounds, list(levels), least, report))
+
+    try:
+        return decided(weights)
+    except UndecidedError as error:
+        told = plant.has_scales or any(weight is not None for weight in (P2, Qw, R, Qv))
+        if told or error.details.get("status") != "undecided":
+            raise
+        other = _weights_by_response(plant, family)
+        if other is not None and not limit.over:
+            with suppress(UndecidedError):
+                made = decided(other)
+                return replace(made, solver=replace(made.solver, details={**made.solver.details, "weights": RESPONSE}))
+        raise UndecidedError(
+            f"{error} Without weights, bounds or scales a disturbance of 1 and noise of 1 count alike: give w_bound, "
+            "v_bound and initial_error.", **error.details,
+        ) from None  # fmt: skip
+
+
+def _weights_by_response(plant: Plant, family: SamplingFamily) -> NoiseWeights | None:
+    """Weights of noise as large as what disturbances of one do to an output within the longest gap.
+
+        v_i^2 = d int_0^d |c_i e^{As} G|^2 ds,    Qw = I,    R = Qv = 2 diag(1/v_i^2)
+
+    They go along with the units of the outputs. None where noise of one is about as large.
+    """
+    d = family.d_max
+    _, W = discounted_flow(plant.A, plant.G @ plant.G.T, np.array([d]), 0.0)
+    square = d * np.einsum("ij,jk,ik->i", plant.C, W[0], plant.C)
+    near = (square > COMMENSURATE**-2) & (square < COMMENSURATE**2)
+    if np.all(near | ~(square > 0) | ~np.isfinite(square)):
+        return None
+    usable = np.isfinite(square) & (square > 0)
+    noise = 2.0 * np.diag(1.0 / np.where(usable, square, 1.0))
+    return NoiseWeights(np.eye(plant.n_disturbances), noise, noise.copy())
 
 
 def _refuse_too_long_gap(plant: Plant, longest: float, eta: float) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
-from sampling_design.certificates.families.graphs import in_plant_terms
+from sampling_design.certificates.families.graphs import family_in_words, in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.digest import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
@@ -66,7 +66,7 @@ class FamilyCertificate(SampledCertificate):
             f"sample-based exponential i-iIOSS with rate {short(self.eta)} for every schedule of the family and every "
             "real window start",
             "Assumption 7",
-            ("linear plant", self.family.explain().rstrip(".")),
+            ("linear plant", family_in_words(self.plant, self.family).rstrip(".")),
         )
 
     def _samples_until(self, end: float) -> Array:
@@ -79,13 +79,15 @@ class FamilyCertificate(SampledCertificate):
 
     def _rows(self) -> list[tuple[str, str]]:
         size = f"{self.graph.count - 1} node{'s' * (self.graph.count != 2)}, {len(self.graph.edges)} edges"
-        return [("family", self.family.explain()), *super()._rows(), ("graph", size)]
+        return [("family", family_in_words(self.plant, self.family)), *super()._rows(), ("graph", size)]
 
     def explain(self) -> str:
         """Say what the certificate proves."""
+        unit, weights = self.plant.time_unit, self.solver.details.get("weights")
+        counted = f" Its weights count {weights}." if weights else ""
         return (
-            f"{self.family.explain()} The plant is detectable with each of them: past errors are discounted at rate "
-            f"{short(self.eta)} per {self.plant.time_unit}, and every window keeps information of at least "
+            f"{family_in_words(self.plant, self.family)} The plant is detectable with each of them: past errors are "
+            f"discounted at rate {short(self.eta)} per {unit}, and every window keeps information of at least "
             f"1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon estimator contracts if "
-            f"its horizon is longer than {short(self.horizon().minimum)} {self.plant.time_unit}."
+            f"its horizon is longer than {short(self.horizon().minimum)} {unit}.{counted}"
         )

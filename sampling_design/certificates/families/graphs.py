@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
@@ -39,6 +43,15 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give it in that unit."
         )
     return family
+
+
+def family_in_words(plant: Plant, family: SamplingFamily) -> str:
+    """Say which schedules belong, with the plant's names for outputs that have tolerances of their own."""
+    if family.planned is None or not family.by_output:
+        return family.explain()
+    planned = period_of(family.planned)
+    mask = np.ones((len(planned), plant.n_outputs), dtype=bool) if planned.outputs is None else planned.outputs
+    return family.replanned(replace(planned, outputs=mask, output_names=plant.outputs.names)).explain()
 
 
 def graph_of(family: SamplingFamily, memory: int, outputs: int) -> PathCompleteGraph:

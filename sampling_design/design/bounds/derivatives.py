@@ -23,9 +23,10 @@ def remainder_of_bend(A: Array, Y: Array, order: int, node: Index, width: Array,
     Y = Y / np.maximum(unit, np.finfo(float).tiny)[:, None, None]
     for _ in range(order):
         Y = A @ Y + Y @ A.T
-    size = unit * np.linalg.norm(Y, axis=(1, 2))
-    scaled = (size[node] * width ** (order - 2) / factorial(order - 2))[:, None]
-    return np.asarray(np.where(scaled > 0, growth, 1.0) * scaled)
+    with np.errstate(over="ignore"):  # where nothing is known of a piece its roof is infinite
+        size = unit * np.linalg.norm(Y, axis=(1, 2))
+        scaled = (size[node] * width ** (order - 2) / factorial(order - 2))[:, None]
+        return np.asarray(np.where(scaled > 0, growth, 1.0) * scaled)
 
 
 def change_of_bend(A: Array, c: Array, Y: Array, node: Index, width: Array, growth: Array) -> Array:

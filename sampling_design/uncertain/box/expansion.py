@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from sampling_design.observability.windows.bracket import ALLOWANCE
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.windows.bracket import ALLOWANCE, LARGEST
 from sampling_design.observability.windows.timing import lost_to_time
 from sampling_design.records.arrays import Array, Complex, Integers, Mask
+from sampling_design.records.record import short
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.norms import FLOATS, CellNorms
 
@@ -88,6 +90,7 @@ def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, lat
     """Expand the rows of samples at `times` (K, N) after the cell's window start; `measured` (K, N, p).
 
     Each sample may be up to `late` early or late: what that does is part of the rest, but for the cell's centre.
+    Raises ArgumentError if growth over these times leaves the range of doubles.
     """
     K, N = times.shape
     n, m, p = model.n, model.m, len(model.C)
@@ -97,11 +100,17 @@ def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, lat
     block[:, :, :n, n:] = cells.half[:, :, None, None] * model.parts_A
     there: Mask = np.any(measured, axis=2)
     r = np.where(there, np.maximum(times, 0.0), 0.0)
-    if m:
-        wide = exponentials(block[:, :, None] * r[:, None, :, None, None])
-        flow, turned = wide[:, 0, :, :n, :n], wide[..., :n, n:]
-    else:
-        flow, turned = exponentials(A[:, None] * r[..., None, None]), np.zeros((K, 0, N, n, n))
+    with np.errstate(over="ignore", invalid="ignore"):
+        if m:
+            wide = exponentials(block[:, :, None] * r[:, None, :, None, None])
+            flow, turned = wide[:, 0, :, :n, :n], wide[..., :n, n:]
+        else:
+            flow, turned = exponentials(A[:, None] * r[..., None, None]), np.zeros((K, 0, N, n, n))
+    if not np.max(np.abs(flow), initial=0.0) < LARGEST:
+        raise ArgumentError(
+            f"`plant` must have e^(A t) that is a number, and its square, up to t = {short(float(r.max()))}: unstable "
+            "modes of some plant of the box overflow. Ask for a shorter window or shorter gaps."
+        )
     rows = C[:, None] @ flow
     slopes = C[:, None, None] @ turned
     slopes = slopes + (cells.half[:, :, None, None] * model.parts_C)[:, :, None] @ flow[:, None]

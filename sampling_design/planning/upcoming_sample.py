@@ -29,7 +29,7 @@ class AwaitedResult(NamedTuple):
     """A sample that was taken and whose result is not in yet."""
 
     output: str
-    t: float  # when it was taken
+    t: float  # when it was taken, or planned: `earliest` and `latest` are then of all times at which it may have been
     earliest: float  # earliest, latest: when its result comes at least and at most, as the requirement says
     latest: float
 
@@ -435,7 +435,9 @@ def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult
     comes, tiny = history.centres[:, None] + history.comes_after(np.True_, late=True), 1e-6 * plan.problem.step
     pending = np.argwhere(np.isfinite(comes) & (comes > now + tiny) & (history.times[:, None] <= now + tiny))
     return tuple(
-        AwaitedResult(plan.plant.outputs.names[j], t, t + float(delays[j, 0]), float(comes[k, j]))
+        AwaitedResult(
+            plan.plant.outputs.names[j], t, t - float(history.sides[k, 0, j]) + float(delays[j, 0]), float(comes[k, j])
+        )
         for k, j in pending.tolist()
         for t in [float(history.times[k])]
     )

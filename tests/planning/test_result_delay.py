@@ -140,6 +140,10 @@ def test_what_is_awaited_is_said_and_counts_when_it_is_in():
     assert overdue.latest == sd.next_sample(plan, ROWS, now=13.75, prove=False).latest
     followed = sd.next_sample(plan, now=12.25, prove=False)
     assert [one[:2] for one in followed.awaited] == [("lab", 12.0)]
+    apart = planned(wanted(0.9, timing_tolerance={"lab": (0.2, 0.4)}), [], [0])
+    assert tuple(sd.next_sample(apart, now=12.25, prove=False).awaited[0][1:]) == pytest.approx((12.0, 12.3, 13.9))
+    told = sd.next_sample(apart, ROWS, now=12.5, awaited=[(12.0, "lab")], prove=False).awaited  # that time is known
+    assert tuple(told[0][1:]) == pytest.approx((12.0, 12.5, 13.5))
 
 
 @pytest.mark.parametrize(

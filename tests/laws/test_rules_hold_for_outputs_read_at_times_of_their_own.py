@@ -7,7 +7,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import Plant
+from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
+from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from tests.cases import few
 from tests.oracles.worst_case import is_admissible, least_of_readings, sigma_of_readings
@@ -26,21 +28,26 @@ def random_case(seed):
 
 
 def table(early, late):
+    if len(early) == 1:
+        return float(early[0]), float(late[0])
     return {f"y{i + 1}": pair for i, pair in enumerate(zip(early.tolist(), late.tolist(), strict=True))}
 
 
 def holds(found, A, C, family, early, late, least):
     """`lower` is below what a search found, and `upper` is what the readings see, which are allowed."""
     assert found.lower <= least
-    assert found.upper == pytest.approx(sigma_of_readings(A, C, found.readings), rel=1e-7)
+    on_time = np.tile(found.witness[:, None], len(C))
+    readings = on_time if found.readings is None else found.readings
+    assert found.upper == pytest.approx(sigma_of_readings(A, C, readings), rel=1e-7)
     assert is_admissible(found.witness - early.max(), family.window, family.spacing, 1e-8 * family.window)
-    apart = found.readings - found.witness[:, None]
+    apart = readings - on_time
     assert np.all((apart >= -early - 1e-8 * family.window) & (apart <= late + 1e-8 * family.window))
 
 
 @pytest.mark.parametrize("seed", few(range(40), 0, 6))
 def test_no_reading_sees_less_than_is_proven_and_what_is_attained_is_read(seed):
     A, C, family, early, late, rng = random_case(seed)
+    early, late = (side[: 1 if seed % 5 == 0 else None] for side in (early, late))  # one pair: read together
     found = worst_case_sigma(Plant(A, C), family, timing_tolerance=table(early, late), budget=20.0)
     rule = family.window, family.count, family.spacing
     least, _ = least_of_readings(A, C, *rule, early, late, rng, 16, 1)
@@ -75,15 +82,22 @@ def test_what_is_on_time_is_on_time_and_more_tolerance_is_never_better():
     for i in range(len(late)):
         one = worst_case_sigma(Plant(A, C), family, timing_tolerance={f"y{i + 1}": (0.0, late[i])})
         assert found.upper <= one.upper <= exact.upper * (1 + 1e-9)
-    # one output has no other to fall apart from: the rule is that of one number
+    # one output has no other to fall apart from; outputs that are read together see no less than those that are not
     few, many = (
         worst_case_sigma(Plant(A, C[:1]), family, timing_tolerance=d) for d in ({"y1": (0.0, 0.1)}, (0.0, 0.1))
     )
-    assert (few.lower, few.upper, few.family.to_dict()) == (many.lower, many.upper, many.family.to_dict())
+    assert (few.lower, few.upper) == (many.lower, many.upper)
+    both = worst_case_sigma(Plant(A, C), family, timing_tolerance=(0.0, 0.1))
+    assert np.ptp(both.readings, axis=1).max() == 0
+    apart = worst_case_sigma(Plant(A, C), family, timing_tolerance=table(np.zeros(3), np.full(3, 0.1)))
+    assert apart.lower <= both.upper <= exact.upper * (1 + 1e-9)
     fewer = replace(family, count=family.count - 1)
     lost = worst_case_sigma(Plant(A, C), fewer, timing_tolerance=table(0 * early, late)).lower
     said = found.deviations
-    assert (said.late, said.late_wider, said.lost) == pytest.approx((lost, found.lower, lost), rel=1e-9)
+    assert (said.late, said.late_wider, said.lost) == pytest.approx((found.lower, found.lower, lost), rel=1e-9)
+    # samples that may change places are a wider rule than real times keep, and show less
+    loose = worst_case_sigma(Plant(A, C), family.loosened((0.0, 0.1)))
+    assert loose.upper < both.lower
 
 
 def test_a_continuum_of_times_is_met_between_the_points_that_are_looked_at():
@@ -114,6 +128,8 @@ def test_balls_prove_it_and_a_box_holds_its_plants():
     balls = worst_case_sigma(Plant(A, C), family, timing_tolerance=tolerance, rigorous=True)
     assert balls.closed
     assert plain.lower * (1 - 2e-6) <= balls.lower <= plain.lower
+    late, above = TimingTolerance.of(tolerance, ("y1", "y2", "y3")), plain.upper * (1 + 1e-5) / (1 - 1e-6)
+    assert prove_worst_sigma(Plant(A, C), family, above, plain.witness, late=late).lower < plain.upper
     box = sd.UncertainPlant(Plant(A, C), [sd.UncertainParameter("a", -0.01, 0.01, A=np.eye(len(A)))])
     over = worst_case_sigma(box, family, rtol=0.2, timing_tolerance=tolerance)
     assert over.closed

@@ -72,6 +72,8 @@ def sigma_of_readings(A, C, readings):
 def least_of_readings(A, C, window, count, spacing, early, late, rng, drawn=60, polished=3):
     """Least sigma found where output i of each planned sample is read within [t - early_i, t + late_i]; with them.
 
+    Where there is one `early` and one `late`, all outputs of a sample are read together.
+
     The window begins max early before the first time that may be planned. Planned times and moves are drawn, half of
     them at their ends; then descended from by Nelder-Mead, all at once.
     """
@@ -82,7 +84,7 @@ def least_of_readings(A, C, window, count, spacing, early, late, rng, drawn=60, 
         slacks = slack * np.sort(np.clip(steps[:count], 0.0, 1.0))
         moves = np.clip(steps[count:].reshape(count, p), 0.0, 1.0)
         planned = early.max() + times_of_slacks(slacks, spacing)
-        return planned[:, None] - early + moves * (early + late)
+        return np.broadcast_to(planned[:, None] - early + moves * (early + late), (count, len(C)))
 
     tried = []
     for turn in range(drawn):

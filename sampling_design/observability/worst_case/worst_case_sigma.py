@@ -83,13 +83,13 @@ class WorstCaseSigma(SigmaBracket):
     upper : float
         Attained at `witness`, or at `readings`.
     witness : (k,) array
-        Sample times within [0, T], relative to the window's start. Of outputs with tolerances of their own planned
-        ones, and the window is as much longer as they are early and late.
+        Sample times within [0, T], relative to the window's start. Of samples that may be early or late planned ones,
+        and the window is as much longer.
     readings : (k, p) array or None
-        When each output of these samples is read; None where samples are read at the times themselves.
-    timing_tolerance : dict or None
-        Of outputs with tolerances of their own: `family` is the rule of what is planned, and `lower` is for all times
-        at which each may be read. None where samples are one reading, and `family` the rule of real times.
+        When each output of these samples is read; None where that is when they are planned.
+    timing_tolerance : float, pair of floats, dict of these, or None
+        How early or late each sample may be: `family` is the rule of what is planned, and `lower` is for all times at
+        which it may be read. None where samples are on time.
     direction : (n,) array
         Unit state at the window's start that `witness` sees least.
     status : str
@@ -143,7 +143,7 @@ class WorstCaseSigma(SigmaBracket):
 
     @property
     def timing_tolerance(self) -> Plain:
-        """How early or late each output may be read, where they have tolerances of their own; else None."""
+        """How early or late each sample may be read, as it is written; None where it is on time."""
         return self.late.plain if self.late else None
 
     def _late(self) -> str | None:
@@ -189,9 +189,9 @@ class WorstCaseSigma(SigmaBracket):
 
 
 def said_of_readings(family: SpacedWindows, late: TimingTolerance, unit: str) -> str:
-    """What is said of outputs at times of their own; nothing where samples are one reading."""
-    wider = f"{short(family.window + late.span)} {unit}"
-    return f", as planned; each output {late.describe(unit)}, over windows of {wider}" if late else ""
+    """What is said of samples that may come early or late; nothing where they are on time."""
+    wider, one = f"{short(family.window + late.span)} {unit}", "output" if late.apart else "sample"
+    return f", as planned; each {one} {late.describe(unit)}, over windows of {wider}" if late else ""
 
 
 @open_verb(SigmaBracket)
@@ -234,10 +234,9 @@ def worst_case_sigma(
         least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
         Default: all states.
     timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
-        How early or late each planned sample may be. Real times then keep `family.loosened(timing_tolerance)`, windows
-        so much longer and samples so much nearer, and that rule is judged: `upper` is its own. By output: each is read
-        at a time of its own, at any in [t - early, t + late] of a planned t. `family` is the rule of planned times,
-        windows are max early + max late longer, and `upper` is attained at times that are allowed.
+        How early or late each planned sample may be: at any time in [t - early, t + late] of a planned t; by output,
+        each at a time of its own. `family` is the rule of planned times, windows are early and late together longer,
+        and `upper` is attained at times that are allowed, `readings`.
 
     Returns
     -------
@@ -289,46 +288,35 @@ def worst_case_sigma(
     True
     """
     late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
-    family, apart = of_real_times(family, late)
-    plant = part_for(plant, of, family.window + apart.span)
+    late.require_order(family.spacing)
+    plant = part_for(plant, of, family.window + late.span)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = checks.generator(rng)
     require_moderate(plant)
-    _require_memory(plant, family, apart)
+    _require_memory(plant, family, late)
     own, limit = plant.scaled() if plant.has_scales else plant, Budget(seconds)
-    result = _bracketed(own, within_periods(plant, family), apart, tolerance, seconds, generator, progress)
+    result = _bracketed(own, within_periods(plant, family), late, tolerance, seconds, generator, progress)
     left = limit.left
     if rigorous:
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
 
-        proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds, late=apart)
+        proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds, late=late)
         result = in_balls(result, proof)
     coordinates = coordinates_of(plant)
-    least = partial(_least, own, plant, apart, tolerance)
+    least = partial(_least, own, plant, tolerance)
     beside = partial(deviations_of_family, least, family, late, result.lower, left, plant.time_unit)
     return replace(result, family=family, coordinates=coordinates, beside=beside)
 
 
-def of_real_times(family: SpacedWindows, late: TimingTolerance) -> tuple[SpacedWindows, TimingTolerance]:
-    """Return the rule that is judged, and the tolerance that is left: of samples that are one reading none.
-
-    Raises ArgumentError if samples could change places.
-    """
-    if not (late and late.apart and len(late.names) > 1):
-        return family.loosened(late.plain if not late.apart else [late.early[0], late.late[0]]), ON_TIME
-    late.require_order(family.spacing)
-    return family, late
-
-
 def _least(
-    own: Plant, plant: Plant, late: TimingTolerance, rtol: float, family: SpacedWindows, seconds: float
+    own: Plant, plant: Plant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float
 ) -> float:
     """Proven sigma of a rule."""
     return _bracketed(own, within_periods(plant, family), late, rtol, seconds, checks.generator(0), None).lower
 
 
 def deviations_of_family(
-    least: Callable[[SpacedWindows, float], float],
+    least: Callable[[SpacedWindows, TimingTolerance, float], float],
     family: SpacedWindows,
     asked: TimingTolerance,
     sigma: float,
@@ -337,23 +325,22 @@ def deviations_of_family(
 ) -> SigmaDeviations | None:
     """Prove what is left of a family's `sigma` if samples come early or late, or one is lost; None without `seconds`.
 
-    `least(family, seconds)` proves sigma of a rule. As early or late as was `asked`, which `family` is loosened by
-    (but for outputs with tolerances of their own, which `least` counts) and `sigma` proven for, else by a share of the
-    spacing. Windows that are early and late together longer hold all that was planned in the shorter ones, at a
-    spacing that is as much less. In windows of the family's own length real times hold what was planned in one that is
-    as much shorter, less than the spacing: all samples but one. A rule with one sample fewer and less spacing holds
-    where one is lost, too.
+    `least(family, late, seconds)` proves sigma of a rule. As early or late as was `asked`, of which `sigma` is proven,
+    else by a share of the spacing. Windows that are early and late together longer hold all that was planned in the
+    shorter ones. In windows of the family's own length real times hold what was planned in one that is as much shorter,
+    less than the spacing: all samples but one. A rule with one sample fewer and less spacing holds where one is lost,
+    too.
     """
-    limit, planned = Budget(seconds), len(asked.names) > 1
+    limit = Budget(seconds)
     late = asked or TimingTolerance.of(SHARE * family.spacing)
-    wider = sigma if asked else least(family.loosened(late.plain), limit.left)
+    wider = sigma if asked else least(family, late, limit.left)
     nearer = family.spacing if asked else family.spacing - late.span
     fewer = family.count - 1
     if limit.over:
         return None
-    lost = min(sigma, least(replace(family, count=fewer, spacing=nearer), limit.left)) if fewer else 0.0
-    same = sigma if asked and not planned else lost
-    return SigmaDeviations(late, same, min(sigma, wider), lost, None, time_unit, bool(asked))
+    rule = replace(family, count=fewer, spacing=nearer) if fewer else family
+    lost = min(sigma, least(rule, asked or ON_TIME, limit.left)) if fewer else 0.0
+    return SigmaDeviations(late, sigma if asked else lost, min(sigma, wider), lost, None, time_unit, bool(asked))
 
 
 def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:

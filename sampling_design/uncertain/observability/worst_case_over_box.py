@@ -16,7 +16,6 @@ from sampling_design.observability.worst_case.worst_case_sigma import (
     WorstCaseSigma,
     asked,
     deviations_of_family,
-    of_real_times,
     said_of_readings,
     worst_case_sigma,
 )
@@ -59,10 +58,10 @@ class WorstCaseOverBox(SigmaBracket):
     worst : mapping
         Values of the parameters.
     witness : (k,) array
-        Sample times within [0, T], planned ones where outputs have tolerances of their own.
+        Sample times within [0, T], planned ones where samples may be early or late.
     readings : (k, p) array or None
         When each output of these samples is read, there.
-    timing_tolerance : dict or None
+    timing_tolerance : float, pair of floats, dict of these, or None
         As in `WorstCaseSigma`.
     status : str
         "closed", "unobservable" (of a state of some plant some schedule measures nothing), "budget", "interrupted" or
@@ -106,7 +105,7 @@ class WorstCaseOverBox(SigmaBracket):
 
     @property
     def timing_tolerance(self) -> Plain:
-        """How early or late each output may be read, where they have tolerances of their own; else None."""
+        """How early or late each sample may be read, as it is written; None where it is on time."""
         return self.late.plain if self.late else None
 
     def _late(self) -> str | None:
@@ -149,7 +148,7 @@ def worst_case_over_box(
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
     late = TimingTolerance.of(timing_tolerance, plant.nominal.outputs.names)
-    family, apart = of_real_times(family, late)
+    late.require_order(family.spacing)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
@@ -159,7 +158,7 @@ def worst_case_over_box(
 
     def one(member: Plant, fine: float, left: float) -> WorstCaseSigma:
         limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
-        own = replace(apart, names=member.outputs.names).plain if apart else 0.0
+        own = replace(late, names=member.outputs.names if late.apart else ()).plain
         found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit, timing_tolerance=own)
         if found.status == "interrupted":  # of one plant: the others are not looked at
             clock.stop()
@@ -172,19 +171,19 @@ def worst_case_over_box(
         return found
 
     settled: list[BoxCells] = []
-    found = _searched(model, family, apart, tolerance, clock, one, settled)
+    found = _searched(model, family, late, tolerance, clock, one, settled)
     left = min(clock.left, BESIDE * max(clock.spent, LEAST_SEARCH))
     if rigorous and found.status != "interrupted":
         from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
 
-        proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds, apart)
+        proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds, late)
         found = in_balls(found, proof, BALL_ROOM)
-    least = partial(_least, plant, apart, tolerance)
+    least = partial(_least, plant, tolerance)
     beside = partial(deviations_of_family, least, family, late, found.lower, left, plant.time_unit)
-    return replace(found, late=apart, beside=beside)
+    return replace(found, late=late, beside=beside)
 
 
-def _least(plant: UncertainPlant, late: TimingTolerance, rtol: float, family: SpacedWindows, seconds: float) -> float:
+def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
     rule = replace(family, time_unit=None)
     if worst_case_sigma(plant.nominal, rule, rtol, seconds, timing_tolerance=late.plain).lower == 0:

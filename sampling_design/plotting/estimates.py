@@ -23,16 +23,16 @@ def draw_estimates(
 
     A measured output appears in the panel of the state that it reads; ticks at the bottom mark the other samples.
     With `ax` only the first state is drawn. Of a long record the extremes over short stretches are drawn. What holds
-    the truth between samples is in an `estimate_curve`. Where the measurements have dates, so has the axis.
+    the truth between samples is in an `estimate_curve`. Where they or the measurements have dates, so has the axis.
     """
     envelope = EstimateEnvelope.over(record.plant, record.times)
     failed = np.array([status in FAILURES for status in record.status], dtype=bool)
     envelope.add(record.times, record.x, record.ellipsoid_radii, record.certified, failed)
-    return draw_envelope(envelope, ax, measurements)
+    return draw_envelope(envelope, ax, measurements, record.origin)
 
 
 def draw_envelope(
-    record: EstimateEnvelope, ax: Axes | None = None, measurements: Measurements | None = None
+    record: EstimateEnvelope, ax: Axes | None = None, measurements: Measurements | None = None, origin: str = ""
 ) -> Axes | style.Panels:
     """Draw one panel per state: at each sample, or over stretches of time, the estimates and what is proven of them."""
     draw = _stretches if record.length else _bars
@@ -43,7 +43,7 @@ def draw_envelope(
     def drawn(panel: Axes, i: int) -> None:
         draw(panel, record, i, readings_of_state(record.plant, i, measurements)[1])
 
-    return state_panels(record.plant, ax, measurements, drawn, title=said)
+    return state_panels(record.plant, ax, measurements, drawn, title=said, origin=origin)
 
 
 def draw_curve(curve: EstimateCurve, ax: Axes | None = None) -> Axes | style.Panels:

@@ -82,6 +82,7 @@ def state_panels(
     draw: Callable[[Axes, int], None],
     columns: int = 5,
     title: str = "",
+    origin: str = "",
 ) -> Axes | style.Panels:
     """One panel for each state with what was measured of it, or the first of them on `ax`."""
     labels = plant.states.labels()
@@ -93,9 +94,8 @@ def state_panels(
             mark_readings(panel, plant, i, measurements)
         panel.set_ylabel(labels[i], fontsize="small")
         panel.margins(x=0.01)
-        style.time_axis(
-            panel, plant.time_unit, origin=(measurements.origin or None) if measurements is not None else None
-        )
+        zero = origin if measurements is None else measurements.origin
+        style.time_axis(panel, plant.time_unit, origin=zero or None)
     style.one_time_axis(panels)
     if ax is not None:
         return ax

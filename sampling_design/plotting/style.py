@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
-from datetime import timedelta
 
 import matplotlib.axes
 import numpy as np
@@ -20,7 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLo
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, readable_unit
-from sampling_design.schedules.time_stamps import parse_date
+from sampling_design.schedules.time_stamps import date_after, parse_date
 
 MEASURED = "#2b6398"
 PROVEN = "#20793e"
@@ -116,7 +115,7 @@ def _unit_label(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None,
 def moment(ax: matplotlib.axes.Axes, t: float, unit: str | None, digits: int = 5, *, origin: str | None = None) -> str:
     """Return a time in the unit that its axis shows, or as a date; to be called when everything is drawn."""
     if origin is not None and unit is not None:
-        return f"{parse_date('origin', origin, None) + timedelta(seconds=float(t) * SECONDS[unit]):%a %d %b %H:%M}"
+        return f"{date_after(parse_date('origin', origin), float(t) * SECONDS[unit]):%a %d %b %H:%M}"
     shown, factor = _unit_label(ax, unit)
     return f"{short(t * factor, digits)} {shown or ''}".rstrip()
 
@@ -304,7 +303,7 @@ def dates(ax: matplotlib.axes.Axes, unit: str | None, origin: str | None) -> Non
 
     def said(t: float, _: int | None = None) -> str:
         minutes = round((t / day + shift) * 1440)  # of the clock since midnight of the first day
-        return f"{zero + timedelta(minutes=minutes - round(shift * 1440)):{form}}"
+        return f"{date_after(zero, 60.0 * (minutes - round(shift * 1440))):{form}}"
 
     ax.xaxis.set_major_locator(MultipleLocator(every * day, offset=-shift * day))
     ax.xaxis.set_major_formatter(FuncFormatter(said))

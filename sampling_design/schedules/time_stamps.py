@@ -89,14 +89,42 @@ def import_time_stamps(
     return Schedule(np.array(times), chosen, time_unit=time_unit, origin=date, output_names=names)
 
 
+def zoned_date(text: str) -> datetime:
+    """Return an ISO 8601 date; a zone behind it in brackets says whose clocks tell it (RFC 9557).
+
+    Raises ValueError if it is no such date, ArgumentError if there is no such zone.
+    """
+    stem, bracket, zone = text.partition("[")
+    date = datetime.fromisoformat(stem)
+    if not bracket:
+        return date
+    if not zone.endswith("]"):
+        raise ValueError(text)
+    place = time_zone(zone[:-1])
+    return date.replace(tzinfo=place) if date.tzinfo is None else date.astimezone(place)
+
+
+def zoned_text(date: datetime) -> str:
+    """Return a date as `zoned_date` reads it: with its zone, where that has a name."""
+    return date.isoformat() + (f"[{date.tzinfo.key}]" if isinstance(date.tzinfo, ZoneInfo) else "")
+
+
+def date_after(zero: datetime, seconds: float) -> datetime:
+    """Return the date so much real time after another one with an offset, by the clocks of its zone.
+
+    Raises OverflowError if it lies outside the years 1 to 9999.
+    """
+    return (zero.astimezone(UTC) + timedelta(microseconds=round(seconds * MICROSECONDS))).astimezone(zero.tzinfo)
+
+
 def parse_date(name: str, value: str | datetime, zone: str | None = None) -> datetime:
     """Return an ISO 8601 date with its offset; naive means in `zone` (its IANA name), by default UTC.
 
     Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
     try:
-        date = value if isinstance(value, datetime) else datetime.fromisoformat(value)
-    except (TypeError, ValueError):
+        date = value if isinstance(value, datetime) else zoned_date(value)
+    except (TypeError, ValueError, AttributeError):
         raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {value!r:.60}.") from None
     if date.tzinfo is not None or zone is None:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date

@@ -222,8 +222,7 @@ def test_estimates_of_a_dated_plan_have_dates_of_its_zone(shell, tmp_path, month
     first, second = (shell("estimate", file, each, "--initial-error", "9") for each in (naive, said))
     assert "Dates without a zone are read in Europe/Berlin." in first.err
     assert first.out == second.out
-    day = "2026-03-11 08:05+01:00" if month == "03" else "2026-07-11 07:05+01:00"
-    assert f"Last estimate, at {day}" in " ".join(first.out.split())
+    assert f"Last estimate, at 2026-{month}-11 08:05{offset}" in " ".join(first.out.split())
     folder = shell("estimate", tmp_path, naive)
     assert folder.code == 2
     assert "plan.json?" in " ".join(folder.err.split())

@@ -11,6 +11,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.records.measurement_table import BLOCK
 from sampling_design.estimators.records.measurements import write_measurements
+from sampling_design.plotting import style
 
 PLANT = Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -214,6 +215,28 @@ def test_dates_without_a_zone_are_those_of_the_plan(tmp_path, given, place):
         read_measurements(written(tmp_path, text), hours, zone="Nowhere")
     with pytest.raises(ArgumentError, match=r"got 'berlin'\. Did you mean 'Europe/Berlin'\?"):
         read_measurements(written(tmp_path, text), hours, zone="berlin")
+
+
+def test_dates_come_back_as_they_were_typed_over_a_change_of_the_clocks(tmp_path):
+    hours = Plant([[-0.1]], [[1.0]], time_unit="h", outputs=["gauge"])
+    typed = ["2026-03-28T08:00", "2026-03-29T08:00", "2026-03-30T08:00"]
+    text = "date,gauge\n" + "".join(f"{each},1\n" for each in typed)
+    found = read_measurements(written(tmp_path, text), hours, origin="2026-03-28", zone="Europe/Berlin")
+    assert found.origin == "2026-03-28T00:00:00+01:00[Europe/Berlin]"
+    later = found.shifted(-3.0)
+    assert later.times.tolist() == [5.0, 28.0, 52.0]
+    assert later.rebased(found.origin).times.tolist() == found.times.tolist()
+    estimates = MovingHorizonEstimator(hours, horizon=50.0, w_bound=0.1, v_bound=0.1).run(later)
+    for table in (found, later, estimates):
+        assert [f"{date:%Y-%m-%dT%H:%M}" for date in table._columns()["date"]] == typed
+    write_estimates(estimates, tmp_path / "estimates.csv", origin=later.origin)
+    lines = (tmp_path / "estimates.csv").read_text().splitlines()
+    assert [line[:16] for line in lines[1:]] == typed
+    ax = estimates.plot()[0]
+    assert ax.get_xlabel() == "date, from 2026-03-28"
+    assert style.moment(ax, 28.0, "h", origin=later.origin) == "Sun 29 Mar 08:00"
+    with pytest.raises(FileFormatError, match=r"is not ISO 8601: '2026-03-28\[Europe/Berlin'"):
+        read_measurements(written(tmp_path, text), hours, origin="2026-03-28[Europe/Berlin")
 
 
 def test_a_record_is_gone_through_in_order_of_time():

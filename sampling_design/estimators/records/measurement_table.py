@@ -18,7 +18,7 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.declarations import moment
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.files import MARK
-from sampling_design.schedules.time_stamps import time_zone
+from sampling_design.schedules.time_stamps import date_after, time_zone, zoned_date, zoned_text
 
 Numbered = tuple[int, str]
 
@@ -88,7 +88,7 @@ class _DateConverter:
         self.stamp = stamp
         self.where, self.unit, self.zero, self.naive = where, SECONDS[plant.time_unit], zero, False
         self.zone: tzinfo = UTC if zero is None or zero.tzinfo is None else zero.tzinfo
-        self.place = str(self.zone)
+        self.place, self.named = str(self.zone), zone is not None
         if zone is not None:
             self.zone, self.place = time_zone(zone), zone
 
@@ -151,7 +151,10 @@ class MeasurementTable:
     @property
     def origin(self) -> str:
         """Date of time 0, where the file has dates."""
-        return "" if self.stamp == "time" or self.clock.zero is None else self.clock.zero.isoformat()
+        zero = self.clock.zero
+        if self.stamp == "time" or zero is None:
+            return ""
+        return zoned_text(zero.astimezone(self.clock.zone) if self.clock.named else zero)
 
     def arrays(self) -> tuple[Array, Array, Array]:
         """Times, outputs and inputs of all rows; the table is empty after that."""
@@ -382,7 +385,7 @@ def _day(cell: str) -> date | None:
 
 def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> datetime:
     try:
-        date = datetime.fromisoformat(cell)
+        date = zoned_date(cell)
     except ValueError:
         at = f"in line {line}" if line else "given as origin"
         slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
@@ -391,12 +394,19 @@ def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> date
 
 
 def dated(zero: datetime, t: float, unit: str) -> str:
-    """Return the date (ISO 8601, to the microsecond) of a time counted from `zero`.
+    """Return the date (ISO 8601, to the microsecond) of a time counted from `zero`, by the clocks of its zone."""
+    return _date_at(zero, t, unit).isoformat()
 
-    Raises ArgumentError if it lies outside the years 1 to 9999.
-    """
+
+def moved_origin(origin: str, t: float, unit: str) -> str:
+    """Return the origin that is `t` after another one, in the same zone."""
+    return zoned_text(_date_at(date_of("`origin`", 0, origin), t, unit))
+
+
+def _date_at(zero: datetime, t: float, unit: str) -> datetime:
+    """The date of a time counted from `zero`. Raises ArgumentError if it lies outside the years 1 to 9999."""
     try:
-        return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()
+        return date_after(zero, t * SECONDS[unit])
     except OverflowError:
         raise ArgumentError(f"`origin` plus {t!r} {unit} lies outside the years 1 to 9999.") from None
 
@@ -406,7 +416,7 @@ def dates_of(origin: str, times: Array, unit: str) -> list[datetime] | None:
     if not origin:
         return None
     zero = date_of("origin", 0, origin)
-    return [date_of("origin", 0, dated(zero, t, unit)) for t in times.tolist()]
+    return [_date_at(zero, t, unit) for t in times.tolist()]
 
 
 def time_or_date(origin: str, t: float, unit: str) -> str:

@@ -22,9 +22,9 @@ from sampling_design.estimators.records.measurement_table import (
     UNTIL,
     MeasuredPlant,
     date_of,
-    dated,
     dates_of,
     held_on,
+    moved_origin,
     read_table,
 )
 from sampling_design.plants.plant import Plant
@@ -35,6 +35,7 @@ from sampling_design.records.declarations import Column
 from sampling_design.records.record import ListRecord, counted, moment
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
+from sampling_design.schedules.time_stamps import passed, zoned_text
 
 MeasuredRow = tuple[float | tuple[float, float], object, Array | None]
 """Time (or from when to when), outputs and inputs of a row, as an estimator takes them."""
@@ -55,7 +56,8 @@ class Measurements(ListRecord[MeasuredRow]):
     u : (N, m) array, optional
         Inputs from each time on; NaN where unchanged. Default: none given.
     origin : str
-        Date (ISO 8601) of time 0, if known.
+        Date (ISO 8601) of time 0, if known; a zone behind it in brackets, as 2026-03-02T00:00+01:00[Europe/Berlin],
+        tells all dates by its clocks.
     assumed_zone : str
         Zone in which dates without one were read; "" where there were none.
     censored : tuple of tuples of CensoredReading, optional
@@ -169,7 +171,7 @@ class Measurements(ListRecord[MeasuredRow]):
         """
         by = checks.number("by", by)
         censored = tuple(tuple(each.shifted(by) for each in row) for row in self.censored)
-        zero = dated(date_of("`origin`", 0, self.origin), -by, self.plant.time_unit) if self.origin else ""
+        zero = moved_origin(self.origin, -by, self.plant.time_unit) if self.origin else ""
         return replace(self, times=self.times + by, censored=censored, origin=zero)
 
     def rebased(self, origin: str) -> Measurements:
@@ -185,8 +187,8 @@ class Measurements(ListRecord[MeasuredRow]):
         if not self.origin:
             raise ArgumentError("`origin` can be another one only of measurements with dates: these have none.")
         here, there = date_of("`origin`", 0, self.origin), date_of("`origin`", 0, origin)
-        moved = self.shifted((here - there).total_seconds() / SECONDS[self.plant.time_unit])
-        return replace(moved, origin=there.isoformat())
+        moved = self.shifted(passed(there, here).total_seconds() / SECONDS[self.plant.time_unit])
+        return replace(moved, origin=zoned_text(there))
 
     def between(self, start: float, stop: float) -> Measurements:
         """Return the rows from `start` to `stop`, both included; the first one says which inputs hold.

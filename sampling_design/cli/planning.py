@@ -116,6 +116,8 @@ def next_sample(
     Where one cannot be kept (exit code 1): since when, what is known now, and which sample brings it back soonest. So
     it is before the first samples of a plan, unless its requirement says what is known then (`initial_error`).
 
+    Exit code 3: nothing is proven within `--budget`.
+
     Example: sampling-design next out/plan.json --now 7
     """
     result = files.plan(plan_file)
@@ -123,13 +125,13 @@ def next_sample(
     if measurements_file is not None:
         record = _record(settings, result, measurements_file)
     out = [_awaited(settings, result, text) for text in awaited or ()]
-    found = sd.next_sample(result, record, now=_now(settings, result, now), awaited=out)
+    found = sd.next_sample(result, record, now=_now(settings, result, now), awaited=out, budget=settings.budget)
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "next.json", found.to_dict())
     settings.show(found.to_dict(), record_table(found), found.explain())
     if not found.keeps:
-        raise typer.Exit(1)
+        raise typer.Exit(1 if found.proven or found.complete else 3)
 
 
 def _record(settings: Settings, result: Plan, path: Path) -> list[tuple[float, list[PartialReading | float], None]]:

@@ -64,7 +64,7 @@ COMMON_FLAGS: dict[str, tuple[object, object]] = {
 
 ONLY: dict[str, tuple[str, ...]] = {
     "seed": ("design", "pareto", "losses", "validate", "thyroid"),
-    "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "robustness", "compare"),
+    "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "robustness", "compare", "next"),
     "decay_rate": ("info", "design", "pareto", "losses", "sigma", "worst-case", "compare", "explore"),
     "of": (
         "info",

@@ -14,6 +14,7 @@ from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settling_time, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.opening import PlanClock
 
 Option = tuple[float, Mask]
@@ -35,10 +36,10 @@ class NextAnswer:
 
 
 class NextChoices:
-    """The choices for the next sample of a plan, after a history."""
+    """The choices for the next sample of a plan, after a history; once the budget is over, what was found by then."""
 
-    def __init__(self, plan: Plan, history: SampleSequence, now: float):
-        self.plan, self.history, self.now, self.clock = plan, history, now, plan.clock
+    def __init__(self, plan: Plan, history: SampleSequence, now: float, budget: Budget = ENDLESS):
+        self.budget, self.plan, self.history, self.now, self.clock = budget, plan, history, now, plan.clock
         self.level = max(NEAR, plan.ratio)
         self._known: dict[tuple[float, bytes], float] = {}
         self._chosen: dict[tuple[float, bytes], SampleSequence] = {}
@@ -208,14 +209,15 @@ class NextChoices:
             return self._nothing
         good = self._planned_option(options) if sensor is None else 0
         if not self.keeps(options[good]):
-            return next((option for option in reversed(options) if self.keeps(option)), self._nothing)
+            kept = (option for option in reversed(options) if not self.budget.over and self.keeps(option))
+            return next(kept, self._nothing)
         at, bad, width = good + 1, len(options), 1
-        while at < len(options):
+        while at < len(options) and not self.budget.over:
             if not self.keeps(options[at]):
                 bad = at
                 break
             good, at, width = at, at + width, 2 * width
-        while bad - good > 1:
+        while bad - good > 1 and not self.budget.over:
             middle = (good + bad) // 2
             good, bad = (middle, bad) if self.keeps(options[middle]) else (good, middle)
         return options[good]
@@ -249,6 +251,8 @@ class NextChoices:
                 kept, found = place, NextAnswer(*options[place], self.now, ratio, True)
             else:
                 broken = place
+            if self.budget.over:
+                break
             if kept < 0 < place:
                 place, step = max(0, place - step), 2 * step
             else:
@@ -267,7 +271,7 @@ class NextChoices:
         best = own[self._planned_option(own)]
         planned_ = kept = self._kept(best, np.inf)
         for t, _ in own:
-            if t > kept + tiny:
+            if t > kept + tiny or self.budget.over:
                 break
             option = t, self.allowed(round(float(self.clock.clock_time(t)) / self.plan.problem.step))
             found = self._kept(option, kept + tiny)
@@ -300,21 +304,23 @@ class NextChoices:
             ratio = proven_ratio(self.plan, replace(sequence, since=since))
             if ratio <= 1:
                 return NextAnswer(*choice, since, ratio, True)
+            if self.budget.over:
+                break
         return NextAnswer(*self._nothing, np.inf, ratio, False)
 
     def later(self, sensor: int | None, latest: float) -> GoalDeadline | None:
         """What keeps the next sample from coming at the first option after the latest; None without such an option."""
         after = [option for option in self.options(sensor) if option[0] > latest]
-        if not after:
+        t = after[0][0] if after else np.inf
+        if not after or (self.budget.over and (sensor, t) not in self._deadlines):
             return None
-        t = after[0][0]
         if (sensor, t) not in self._deadlines:
             self._deadlines[sensor, t] = self.breach(after[0])
         return self._deadlines[sensor, t]
 
     def breach(self, choice: Option) -> GoalDeadline | None:
         """Which goal reaches its tolerance after a choice, and when."""
-        if not np.isfinite(choice[0]):
+        if not np.isfinite(choice[0]) or self.budget.over:
             return None
         sequence = self.sequence(choice)
         return first_deadline(self.plan, sequence, self._until(sequence))
@@ -325,5 +331,5 @@ class NextChoices:
         if not options:
             return latest
         few = [options[k] for k in np.unique(np.round(np.linspace(0, len(options) - 1, 8)).astype(int))]
-        chosen: Option = min(few, key=lambda option: (round(self.ratio(option), 3), -option[0]))
-        return chosen
+        judged = [(round(self.ratio(option), 3), -option[0], option) for option in few if not self.budget.over]
+        return min(judged, key=lambda one: one[:2])[2] if judged else latest

@@ -20,6 +20,7 @@ from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.record import Plain, Record, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.opening import WEEK
@@ -60,7 +61,7 @@ class NextSample(Record):
     deadline : GoalDeadline or None
         What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
         first if it does, and when. None if it may come at any time of a whole period. Where no tolerance is exceeded
-        yet, but no sample keeps them all: the same of the sample at `latest`.
+        yet, but no sample keeps them all: the same of the sample at `latest`. None too, where `complete` is false.
     alone_deadlines : dict of str to GoalDeadline
         The same for each sensor alone.
     kept_from : float
@@ -71,6 +72,8 @@ class NextSample(Record):
         How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
     judged_until : float
         The first closed day with a sample of the plan that is too far ahead to be judged; inf if there is none.
+    complete : bool
+        Whether the budget was enough: else a later sample may do, and `alone`, `best` and deadlines may be left out.
     awaited : tuple of AwaitedResult
         Results that are out now and counted on: each from its `latest` on.
     """
@@ -90,6 +93,7 @@ class NextSample(Record):
     exceeded: GoalDeadline | None = None
     known: dict[str, float] = field(default_factory=dict)
     judged_until: float = np.inf
+    complete: bool = True
     awaited: tuple[AwaitedResult, ...] = ()
 
     @property
@@ -147,9 +151,9 @@ class NextSample(Record):
             rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
         rows += [("best", self._read_at(self.best, self.best_outputs))] if np.isfinite(self.best) else []
         rows += [] if self.keeps else [("kept again", self._again())]
-        rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] * bool(
-            np.isfinite(self.judged_until)
-        )
+        rows += [] if self.complete else [("budget", "spent: a later sample may do")]
+        ahead = np.isfinite(self.judged_until)
+        rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] if ahead else []
         return rows
 
     def _comes(self, one: AwaitedResult) -> str:
@@ -218,11 +222,8 @@ class NextSample(Record):
         def plain_deadline(found: GoalDeadline | None) -> Plain:
             if found is None:
                 return None
-            return {
-                "goal": found.goal,
-                "ratio": found.ratio if np.isfinite(found.ratio) else None,
-                "when": plain(found.time),
-            }
+            ratio = found.ratio if np.isfinite(found.ratio) else None
+            return {"goal": found.goal, "ratio": ratio, "when": plain(found.time)}
 
         return {
             "now": plain(self.now),
@@ -239,6 +240,7 @@ class NextSample(Record):
             "exceeded": plain_deadline(self.exceeded),
             "known": {name: value if np.isfinite(value) else None for name, value in self.known.items()},
             "judged_until": plain(self.judged_until),
+            "complete": self.complete,
             "awaited": [
                 {"output": one.output, "t": plain(one.t), "earliest": plain(one.earliest), "latest": plain(one.latest)}
                 for one in self.awaited
@@ -254,6 +256,7 @@ def next_sample(
     now: float | None = None,
     awaited: Iterable[tuple[float, str]] = (),
     prove: bool = True,
+    budget: float | None = None,
 ) -> NextSample:
     """Return the latest time of the next sample after which every tolerance is kept from now on, for ever.
 
@@ -275,6 +278,8 @@ def next_sample(
         `result_delay` on. One that should be in by now counts as lost. Without a record the plan's own are out.
     prove : bool
         Prove the answer by gains over all real times; else it rests on the search alone.
+    budget : float, optional [seconds]
+        Once they are spent, the latest sample that is proven by then is the answer, with less said beside it.
 
     Returns
     -------
@@ -314,7 +319,8 @@ def next_sample(
     if taken is not None and taken.times.size and at < last - 1e-9 * step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = _with_awaited(plan, taken, [*awaited], at)
-    run = NextChoices(plan, _history(plan, taken, at), at)
+    limit = Budget(None if budget is None else checks.positive("budget", budget))
+    run = NextChoices(plan, _history(plan, taken, at), at, limit)
     exceeded = run.exceeded()
     full = run.answer(None, prove)
     if not np.isfinite(full.t):
@@ -323,7 +329,7 @@ def next_sample(
     alone, alone_deadlines = dict[str, float](), dict[str, GoalDeadline]()
     for j, name in enumerate(plan.plant.outputs.names):
         same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
-        if keeps and plan.chosen[:, j].any():
+        if keeps and plan.chosen[:, j].any() and (same or not limit.over):
             alone[name] = full.t if same else run.answer(j, prove).t
             why = run.later(None if same else j, alone[name])
             if why is not None:
@@ -345,6 +351,7 @@ def next_sample(
         exceeded=exceeded,
         known=known_at(plan, run.history, at),
         judged_until=run.judged_until(max(at, full.t)),
+        complete=not limit.over,
         awaited=_out(plan, run.history, at),
     )
 

@@ -32,6 +32,21 @@ noise_bound = 0.2
 """
 
 
+@pytest.mark.parametrize(("complete", "code"), [(True, 1), (False, 3)])
+def test_what_is_not_proven_within_the_budget_is_not_what_cannot_be_kept(shell, tmp_path, monkeypatch, complete, code):
+    asked, made = (
+        [],
+        sd.PlanRequirement({"x": 0.52}, period=8, grid=4, w_bound=0.1, sensors={"y1": {"noise_bound": 0.1}}),
+    )
+    plant = sd.Plant([[0.0]], [[1.0]], states=["x"])
+    found = sd.plan_samples(plant, made, certificate=False, robustness=False, start=False)
+    found.save(tmp_path / "plan.json")
+    nothing = replace(sd.next_sample(found, now=1.0), latest=-np.inf, kept_from=np.inf, proven=False, complete=complete)
+    monkeypatch.setattr(sd, "next_sample", lambda *_, budget, **__: asked.append(budget) or nothing)
+    assert shell("next", tmp_path / "plan.json", "--budget", 0.5, "--json").code == code
+    assert asked == [0.5]
+
+
 @pytest.mark.long
 def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     (tmp_path / "wanted.toml").write_text(SMALL)

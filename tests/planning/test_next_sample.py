@@ -16,6 +16,7 @@ from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.sequence_system import plan_system
 from tests.cases import few
+from tests.counted_clock import Counted
 
 BARE = {"certificate": False, "robustness": False, "start": False}
 
@@ -233,3 +234,29 @@ def test_a_plan_that_hides_a_mode_for_ever_bounds_no_change():
     )
     with pytest.raises(NotDetectableError, match="what a change of its samples does is not bounded"):
         plan_system(found)
+
+
+def test_within_a_budget_the_latest_sample_that_is_proven_by_then_is_the_answer(week):
+    week = replace(week, requirement=week.requirement.replace(initial_error=[0.3, 0.05]))
+    full = sd.next_sample(week, now=0.0)
+    with Counted().running() as clock:
+        sd.next_sample(week, now=0.0)  # what is remembered of the plan costs nothing any more
+    whole, own = clock.read(), planned(week, 0.5, week.schedule.period)[0][0]
+    assert full.complete
+    assert "budget" not in dict(full._rows())
+    latest = []
+    for share in (1e-9, 0.5, 2.0):
+        with Counted().running() as clock:
+            found = sd.next_sample(week, now=0.0, budget=share * whole)
+        assert found.proven
+        assert found.ratio <= 1
+        assert own - 1e-9 <= found.latest <= full.latest + 1e-9
+        assert found.keeps
+        assert found.complete is found.to_dict()["complete"] is (share > 1)
+        assert found.complete or dict(found._rows())["budget"] == "spent: a later sample may do"
+        latest.append((found.latest, clock.read()))
+    assert latest[0][1] < 0.5 * whole
+    assert latest[0][0] < latest[2][0] == full.latest
+    assert latest[1][0] <= latest[2][0]
+    with pytest.raises(ArgumentError, match=r"`budget` must be positive, got 0\.0"):
+        sd.next_sample(week, now=0.0, budget=0.0)

@@ -44,13 +44,8 @@ class Reading:
     since: float | None
 
 
-@dataclass(frozen=True)
-class TimedReadings:
-    """What was read at one time, and where that stands in the file."""
-
-    t: float
-    rows: list[Reading]
-    place: str
+TimedReadings = tuple[float, list[Reading], str]
+"""A time, what was read then, and where that stands in the file."""
 
 
 @dataclass(frozen=True)
@@ -87,36 +82,36 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     """The claim in a file's table, every size derived from the plant and compared."""
     n, q = plant.n, plant.G.shape[1]
     B = read["plant"]["matrices"].get("B", np.zeros((n, 0)))
-    rows, R = read["rows"]["matrix"], sum(len(each.rows) for each in read["readings"])
+    rows, R = read["rows"]["matrix"], sum(len(rows) for _, rows, _ in read["readings"])
     r = len(rows)
-    asked(n > 0 and r > 0 and rows.shape == (r, n), "rows.matrix", f"must have rows of {n} numbers")
-    asked(R <= MOST_ROWS, "readings", f"must hold at most {MOST_ROWS} rows")
-    asked(B.shape[0] == n, "plant.matrices.B", f"must have {n} rows")
+    need(n > 0 and r > 0 and rows.shape == (r, n), "rows.matrix", f"must have rows of {n} numbers")
+    need(R <= MOST_ROWS, "readings", f"must hold at most {MOST_ROWS} rows")
+    need(B.shape[0] == n, "plant.matrices.B", f"must have {n} rows")
     for key in ("names", "units"):
-        asked(len(read["rows"][key]) == r, f"rows.{key}", f"must have {r} entries")
+        need(len(read["rows"][key]) == r, f"rows.{key}", f"must have {r} entries")
     for key in ("lower", "upper", "gains"):
-        asked(len(read[key]) == r, key, f"must have {r} entries")
+        need(len(read[key]) == r, key, f"must have {r} entries")
     for k, pair in enumerate(read["gains"]):
-        asked(pair.shape == (2, R), f"gains[{k}]", f"must have 2 rows of {R} numbers")
+        need(pair.shape == (2, R), f"gains[{k}]", f"must have 2 rows of {R} numbers")
     start, w = read["start"], read["w"]
-    asked(len(start["centre"]) == n, "start.centre", f"must have {n} entries")
-    asked(start["root"] is None or start["root"].shape[0] == n, "start.root", f"must have {n} rows")
-    asked(len(w["centre"]) == q, "w.centre", f"must have {q} entries")
-    asked(len(w["root"]) == q, "w.root", f"must have {q} rows")
+    need(len(start["centre"]) == n, "start.centre", f"must have {n} entries")
+    need(start["root"] is None or start["root"].shape[0] == n, "start.root", f"must have {n} rows")
+    need(len(w["centre"]) == q, "w.centre", f"must have {q} entries")
+    need(len(w["root"]) == q, "w.root", f"must have {q} rows")
     times, readings = in_order(read["readings"], start["time"], n)
-    asked(read["t"] >= times[-1], "t", "must not lie before the last reading")
+    need(read["t"] >= times[-1], "t", "must not lie before the last reading")
     means = {one.row.tobytes() for some in readings for one in some if one.since is not None}
-    asked(len(read["scales"]) == n + len(means), "scales", f"must have {n + len(means)} entries")
+    need(len(read["scales"]) == n + len(means), "scales", f"must have {n + len(means)} entries")
     given = [(one["t"], np.array(one["u"], dtype=np.float64)) for one in read["inputs"]]
-    asked(all(len(u) == B.shape[1] for _, u in given), "inputs", f"must each have {B.shape[1]} entries of u")
-    asked(all(a < b for (a, _), (b, _) in pairwise(given)), "inputs", "must be in order of time")
+    need(all(len(u) == B.shape[1] for _, u in given), "inputs", f"must each have {B.shape[1]} entries of u")
+    need(all(a < b for (a, _), (b, _) in pairwise(given)), "inputs", "must be in order of time")
     factors = None
     if read["disproof"] is not None:
         found = read["disproof"]
-        asked(all(len(g) == R for g in found["gains"].values()), "disproof.gains", f"must have {R} numbers each")
-        asked(found["factors"]["all"] is not None, "disproof.factors.all", "must be a number")
+        need(all(len(g) == R for g in found["gains"].values()), "disproof.gains", f"must have {R} numbers each")
+        need(found["factors"]["all"] is not None, "disproof.factors.all", "must be a number")
         nothing = all(end is None for end in (*read["lower"], *read["upper"]))
-        asked(nothing, "lower", "must be null where the data contradict the bounds")
+        need(nothing, "lower", "must be null where the data contradict the bounds")
         stated = {key: value for key, value in found["factors"].items() if value is not None}
         factors = {key: (float(value), np.array(found["gains"][key])) for key, value in stated.items()}
     return OfInterval(
@@ -147,28 +142,28 @@ def timed(value: object, place: str) -> "TimedReadings":
     """What was read at one time."""
     read = _timed(value, place)
     rows = [Reading(**{**one, "row": np.array(one["row"], dtype=np.float64)}) for one in read["rows"]]
-    return TimedReadings(read["t"], rows, place)
+    return read["t"], rows, place
 
 
 def in_order(given: list["TimedReadings"], start: float, n: int) -> tuple[list[float], list[list[Reading]]]:
     """Times and what was read at each: the first is the start; means begin at one of them and do not overlap."""
-    times = [each.t for each in given]
-    asked(bool(times) and times[0] == start, "readings", "must begin at the time of the start")
-    asked(all(a < b for a, b in pairwise(times)), "readings", "must be in order of time")
+    times = [t for t, _, _ in given]
+    need(bool(times) and times[0] == start, "readings", "must begin at the time of the start")
+    need(all(a < b for a, b in pairwise(times)), "readings", "must be in order of time")
     ended: dict[bytes, float] = {}
-    for each in given:
-        for one in each.rows:
-            asked(one.row.shape == (n,), f"{each.place}.rows", f"must have rows of {n} numbers")
+    for t, rows, place in given:
+        for one in rows:
+            need(one.row.shape == (n,), f"{place}.rows", f"must have rows of {n} numbers")
             if one.since is not None:
-                known = one.since in times and one.since < each.t
+                known = one.since in times and one.since < t
                 free = ended.get(one.row.tobytes(), times[0]) <= one.since
                 words = "has a mean that does not begin at an earlier time, after the one before"
-                asked(known and free, f"{each.place}.rows", words)
-                ended[one.row.tobytes()] = each.t
-    return times, [each.rows for each in given]
+                need(known and free, f"{place}.rows", words)
+                ended[one.row.tobytes()] = t
+    return times, [rows for _, rows, _ in given]
 
 
-def asked(holds: bool, place: str, what: str) -> None:
+def need(holds: bool, place: str, what: str) -> None:
     """Refuse what does not hold."""
     if not holds:
         raise refuse(place, what)

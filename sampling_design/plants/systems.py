@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -62,16 +62,6 @@ class Driven(Protocol):
     def G(self) -> Array: ...
 
 
-class Realisation(NamedTuple):
-    """Matrices of a transfer function in observer form, and the output that each state belongs to."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    outputs: tuple[int, ...]
-
-
 def is_system(value: object) -> bool:
     """Whether it is a linear system of `control` or `scipy.signal`, in any form."""
     return type(value).__module__.partition(".")[0] in LIBRARIES and hasattr(value, "dt")
@@ -90,11 +80,11 @@ def parts_of(system: object) -> dict[str, object]:
             return {key: getattr(plant, key) for key in PARTS}
         parts: dict[str, object] = {key: getattr(system, key) for key in "ACBD"}
     else:
-        found = realised(*_polynomials(system))
-        parts = {key: getattr(found, key) for key in "ACBD"}
-        names = list(getattr(system, "output_labels", None) or (f"y{i + 1}" for i in range(len(found.C))))
-        place = [found.outputs[:k].count(i) for k, i in enumerate(found.outputs)]
-        states = [f"{names[i]}_{k + 1}" for i, k in zip(found.outputs, place, strict=True)]
+        (A, B, C, D), outputs = realised(*_polynomials(system))
+        parts = {"A": A, "C": C, "B": B, "D": D}
+        names = list(getattr(system, "output_labels", None) or (f"y{i + 1}" for i in range(len(C))))
+        place = [outputs[:k].count(i) for k, i in enumerate(outputs)]
+        states = [f"{names[i]}_{k + 1}" for i, k in zip(outputs, place, strict=True)]
         parts |= {"states": states, "outputs": names, "source": "transfer function, in observer form"}
     if getattr(system, "dt", None) not in (None, 0, 0.0):
         parts |= continuous(parts, float(system.dt))  # type: ignore[attr-defined]
@@ -203,8 +193,8 @@ def _polynomials(system: object) -> tuple[list[list[Array]], list[list[Array]]]:
     return num, den
 
 
-def realised(num: list[list[Array]], den: list[list[Array]]) -> Realisation:
-    """Return the observer form of a transfer matrix, output by output: every state is observed.
+def realised(num: list[list[Array]], den: list[list[Array]]) -> tuple[tuple[Array, Array, Array, Array], list[int]]:
+    """Return A, B, C, D of the observer form of a transfer matrix, and the output that each state belongs to.
 
         y_i = x_1 + D u,    x_k' = -a_k x_1 + x_{k+1} + b_k u,    s^n + a_1 s^{n-1} + ... + a_n the poles of row i
 
@@ -224,7 +214,7 @@ def realised(num: list[list[Array]], den: list[list[Array]]) -> Realisation:
             A[own, start] -= a
             C[i, start] = 1.0
         start += len(a)
-    return Realisation(A, B, C, D, tuple(i for i, size in enumerate(sizes) for _ in range(size)))
+    return (A, B, C, D), [i for i, size in enumerate(sizes) for _ in range(size)]
 
 
 def _row(num: list[Array], den: list[Array]) -> tuple[Array, Array, Array]:

@@ -164,7 +164,7 @@ def test_four_horizons_stand_in_order(plant, chain):
     assert table.radius < 1
     assert table.to_markdown().count("\n") == 6
     assert "exact, improved" in table.to_latex()
-    assert f"paper chain: {minima[0]:.4g}; exact, Theorem 9: {minima[1]:.4g}; " in table.explain()
+    assert f"paper's constants: {minima[0]:.4g}; exact, Theorem 9: {minima[1]:.4g}; " in table.explain()
     assert "M >" in str(table)
 
 

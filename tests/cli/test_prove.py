@@ -37,7 +37,7 @@ def certified(shell, tmp_path, tmp_path_factory):
 def test_certify_prints_four_horizons_and_writes_everything(certified):
     result, folder = certified
     assert result.code == 0
-    for word in ("paper chain", "exact, improved", "true contraction", "C_w", "Next: sampling-design verify "):
+    for word in ("paper's constants", "exact, improved", "true contraction", "C_w", "Next: sampling-design verify "):
         assert word in result.out
     assert {"certificate.json", "horizons.png", "constants.md", "constants.tex"} <= {p.name for p in folder.iterdir()}
     assert "| exact, improved |" in (folder / "constants.md").read_text()

@@ -1,4 +1,4 @@
-"""One table of four horizons: by the paper's chain, exact with its theorem, exact and improved, and the true one."""
+"""One table of four horizons: by the paper's constants, exact with its theorem, exact and improved, and true."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class FourHorizons(ListRecord[HorizonRow]):
     Attributes
     ----------
     rows : tuple of HorizonRow
-        Paper chain with Thm 9, exact certificate with Thm 9, with the improved theorem, true contraction.
+        The paper's constants with Thm 9, exact certificate with Thm 9, with the improved theorem, true contraction.
     certificate : Certificate
         The exact one.
     proof : ProofConstants or None
@@ -111,7 +111,7 @@ def four_horizons(
     *,
     budget: float | None = None,
 ) -> FourHorizons:
-    """Return four horizons side by side: the paper's chain, exact with Thm 9, exact and improved, true contraction.
+    """Return four horizons side by side: the paper's constants, exact with Thm 9, exact and improved, true contraction.
 
     Parameters
     ----------
@@ -171,7 +171,9 @@ def four_horizons(
         except UndecidedError as error:
             missing = str(error)
     rows = (
-        HorizonRow("paper chain", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, by_paper, note),
+        HorizonRow(
+            "paper's constants", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, by_paper, note
+        ),
         HorizonRow("exact, Theorem 9", "Riccati and Theorem 9", paper.minimum, paper),
         HorizonRow("exact, improved", "Riccati and the improved theorem", improved.minimum, improved),
         HorizonRow("true contraction", "spectral radius", true, None, missing),

@@ -274,6 +274,14 @@ class SampledCertificate(VerifiableRecord, ABC):
     def _numbers(self) -> ConstantList:
         return self.constants
 
+    def _promise(self) -> str:
+        """What the inequality means, in words."""
+        return (
+            f"past errors are discounted at rate {short(self.eta)} per {self.plant.time_unit}, and every window keeps "
+            f"information of at least 1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon "
+            f"estimator contracts if its horizon is longer than {short(self.horizon().minimum)} {self.plant.time_unit}."
+        )
+
     def _sample_times(self) -> str:
         return self.covers.explain().rstrip(".")
 
@@ -433,12 +441,7 @@ class Certificate(SampledCertificate):
 
     def explain(self) -> str:
         """Say what the certificate proves."""
-        return (
-            f"The plant is detectable with this schedule{self._until()}: past errors are discounted at rate "
-            f"{short(self.eta)} per {self.plant.time_unit}, and every window keeps information of at least "
-            f"1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon estimator contracts if "
-            f"its horizon is longer than {short(self.horizon().minimum)} {self.plant.time_unit}." + self._beyond()
-        )
+        return f"The plant is detectable with this schedule{self._until()}: {self._promise()}{self._beyond()}"
 
     def _beyond(self) -> str:
         how = str(self.solver.details.get("weights", ""))

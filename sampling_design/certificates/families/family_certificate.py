@@ -83,11 +83,7 @@ class FamilyCertificate(SampledCertificate):
 
     def explain(self) -> str:
         """Say what the certificate proves."""
-        unit, weights = self.plant.time_unit, self.solver.details.get("weights")
+        weights = self.solver.details.get("weights")
         counted = f" Its weights count {weights}." if weights else ""
-        return (
-            f"{family_in_words(self.plant, self.family)} The plant is detectable with each of them: past errors are "
-            f"discounted at rate {short(self.eta)} per {unit}, and every window keeps information of at least "
-            f"1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon estimator contracts if "
-            f"its horizon is longer than {short(self.horizon().minimum)} {unit}.{counted}"
-        )
+        family = family_in_words(self.plant, self.family)
+        return f"{family} The plant is detectable with each of them: {self._promise()}{counted}"

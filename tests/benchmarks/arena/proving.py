@@ -35,7 +35,7 @@ def run(quick: bool = False) -> list[Table]:
             evidence = (checked, duration(spent)) if row.name.startswith("exact") else (None, None)
             table.add(name, row.name, least, *gains, *evidence)
     table.notes.append(
-        "The paper chain is `constants_from_proof(variant='paper')` with the printed formulas corrected; "
+        "The paper's constants are `constants_from_proof(variant='paper')`, the printed formulas corrected; "
         "the last row is the least window for which the estimator's own error map contracts."
     )
     return [table]

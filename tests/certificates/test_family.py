@@ -115,7 +115,7 @@ def test_outputs_of_the_nominal_schedule_are_followed():
     other = sd.certify(plant, Jitter(swapped, 0.1), eta=0.4, P2=np.eye(2))
     assert both.lam < turns.lam == other.lam
     assert turns.verify().passed
-    thinned = sd.certify(plant, LostSamples(nominal, 1, 4), eta=0.4, P2=np.eye(2))
+    thinned = sd.certify(plant, LostSamples(nominal, 1, 3), eta=0.4, P2=np.eye(2))
     assert thinned.lam > sd.certify(plant, Jitter(nominal, 0.0), eta=0.4, P2=np.eye(2)).lam
     assert thinned.verify().passed
 

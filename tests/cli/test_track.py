@@ -175,11 +175,11 @@ def test_validate_without_a_certificate_is_a_no(shell, tmp_path):
 
 
 def test_validate_with_a_false_certificate_fails_with_exit_code_1(shell, tmp_path, schedule):
-    made = sd.certify(sd.read_plant(OSCILLATOR), sd.read_schedule(schedule), eta=0.5)
+    made = sd.certify(sd.read_plant(OSCILLATOR), sd.read_schedule(schedule), eta=0.5, P2=np.eye(2))
     parts = {key: getattr(made, key) for key in ("P2", "Qw", "R", "Qv")}
     false = sd.Certificate.from_matrices(made.plant, made.schedule, P1=1.5 * made.P1, **parts, eta=made.eta)
     false.save(tmp_path / "false.json")
-    flags = ("--certificate", tmp_path / "false.json", "--runs", 5, "--duration", 12)
+    flags = ("--certificate", tmp_path / "false.json", "--runs", 3, "--duration", 12)
     result = shell("validate", OSCILLATOR, schedule, *flags)
     assert result.code == 1
     assert "BROKEN" in result.out

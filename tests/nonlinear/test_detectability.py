@@ -51,7 +51,7 @@ def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
     # x' = x is not seen: |dx|^2 grows while the right side decays
     blind = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [0 * x[0] + v[0]],
                            {"states": 1, "disturbances": 1, "outputs": 1})  # fmt: skip
-    found = check_detectability(blind, SCHEDULE, ([-1.0], [1.0]), cost=CostFunction(eta=0.2), duration=3.0, pairs=9)
+    found = check_detectability(blind, SCHEDULE, ([-1.0], [1.0]), cost=CostFunction(eta=0.2), duration=3.0, pairs=3)
     assert not found.holds
     assert found.witness.t == pytest.approx(3.0)
     # Y' = (2 + eta) Y + 1 from 1, and without disturbance e^{(eta + 2) t}

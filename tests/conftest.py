@@ -19,6 +19,8 @@ import pytest
 from _pytest.doctest import DoctestModule
 from hypothesis import HealthCheck, settings
 
+from sampling_design.certificates.exact import weight_choice
+from sampling_design.certificates.families import certify_family
 from sampling_design.design.search import local_search
 from tests import raised, rigour
 
@@ -26,9 +28,22 @@ settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
-SEARCH = {name: getattr(local_search, name) for name in ("KICKS", "LED", "FEW")}
-KICKED = ("tests/design/test_search.py", "tests/docs", "tests/benchmarks", "tests/browser", "sampling_design")
-"""Where a search of designs is whole: where that is judged, and where figures of the documentation are."""
+FEWER: dict[Any, dict[str, Any]] = {
+    local_search: {"KICKS": 0, "LED": 1, "FEW": 1},
+    weight_choice: {"STARTS": (1, 1), "MAX_ITERATIONS": (10, 10), "RESTARTS": (1, 1), "BELOW": ((1.5,), (1.5,))},
+    certify_family: {"LAM_RTOL": 0.03},
+}
+"""What a search spends where only what it finds is judged: starts of a design, descents of weights, programs."""
+SPENT = {module: {name: getattr(module, name) for name in fewer} for module, fewer in FEWER.items()}
+WHOLE = (
+    "tests/design/test_search.py",
+    "tests/certificates/test_certificate.py",
+    "tests/docs",
+    "tests/benchmarks",
+    "tests/browser",
+    "sampling_design",
+)
+"""Where searches are whole: where they are judged, and where figures of the documentation are."""
 gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
 
 
@@ -99,11 +114,11 @@ def spread(items: list[Any], kind: Callable[[Any], object], most: int) -> list[A
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> None:
-    """Let a search of designs end with few starts: others and kicks are most of it, and few tests are about them."""
+    """Let searches spend little: of designs, others and kicks are most of it, and few tests are about them."""
     long = item.get_closest_marker("long") is not None and not item.nodeid.startswith("tests/cli")
-    whole = long or item.nodeid.startswith(KICKED)
-    for name, number in SEARCH.items():
-        setattr(local_search, name, number if whole else int(name != "KICKS"))
+    whole = long or item.nodeid.startswith(WHOLE)
+    for module, values in (SPENT if whole else FEWER).items():
+        vars(module).update(values)
 
 
 def pytest_collection_finish() -> None:

@@ -105,12 +105,13 @@ def verdict_by_scan(data):
 
 
 @pytest.mark.long
-def test_checker_agrees_with_the_riccati_oracle_on_200_mutations():
+@pytest.mark.parametrize("count", [200, 50])
+def test_checker_agrees_with_the_riccati_oracle_on_mutations(count):
     rng = np.random.default_rng(20)
     originals = [json.loads(json.dumps(made.to_dict())) for made in certificates()]
     decided = {True: 0, False: 0}
     touched = set()
-    while sum(decided.values()) < 200:
+    while sum(decided.values()) < count:
         data = copy.deepcopy(originals[rng.integers(len(originals))])
         field = scaled(data, rng)
         expected = verdict_by_scan(data)
@@ -120,8 +121,8 @@ def test_checker_agrees_with_the_riccati_oracle_on_200_mutations():
         assert found["passed"] is expected, (field, found, expected)
         decided[expected] += 1
         touched.add(field)
-    assert min(decided.values()) >= 40
-    assert len(touched) == 14
+    assert min(decided.values()) >= count / 5
+    assert len(touched) == 14 or count < 200
 
 
 @pytest.mark.parametrize("k", range(3))

@@ -15,7 +15,7 @@ from tests.cases import few
 from tests.observability.test_timing import brute_force, drawn
 from tests.oracles.late_samples import Windows, least_sigma
 
-PIECES = [range(4), range(4, 100), *(range(k, k + 100) for k in range(100, 500, 100))]
+PIECES = [range(4), range(4, 25), *(range(k, k + 25) for k in range(25, 500, 25))]
 
 
 def judged(seed):

@@ -447,7 +447,7 @@ def test_the_worst_time_is_marked_on_the_curve_it_is_of():
 def test_horizons_count_in_a_unit_that_people_read():
     minutes = sd.Plant(OSCILLATOR.A / 60, OSCILLATOR.C, time_unit="s", states=["position", "velocity"])
     schedule = sd.PeriodicSchedule(60 * SCHEDULE.gaps, time_unit="s")
-    found = sd.certificates.four_horizons(minutes, schedule, sd.certify(minutes, schedule, eta=0.2 / 60))
+    found = sd.certificates.four_horizons(minutes, schedule, sd.certify(minutes, schedule, eta=0.2 / 60, P2=np.eye(2)))
     top = found.plot()[0]
     assert top.get_xlabel() == "horizon M must exceed [min]"
     dots = {round(float(line.get_xdata()[0]), 6) for line in top.lines}

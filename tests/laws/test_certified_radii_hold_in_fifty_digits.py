@@ -113,7 +113,7 @@ def test_radii_of_the_carried_arrival_cost(seed):
 
 @pytest.mark.parametrize("seed", SEEDS[1:2])
 def test_radii_of_the_filter(seed):
-    assert worst_miss(seed, 30, moving=False)[0] <= 0
+    assert worst_miss(seed, 15, moving=False)[0] <= 0
 
 
 def test_without_the_rounding_the_law_is_broken(monkeypatch):

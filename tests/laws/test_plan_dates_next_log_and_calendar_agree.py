@@ -59,7 +59,7 @@ def is_open(local, holidays=HOLIDAYS):
 @pytest.fixture(scope="module", params=few(ZONES, 2))
 def year(request):
     plan = watched(request.param, GAP, (MONDAY, WEDNESDAY, FRIDAY, SUNDAY))
-    return plan, plan_dates(plan, 52)
+    return plan, plan_dates(plan, 44)
 
 
 def test_dates_are_moments_at_which_the_place_is_open(year):

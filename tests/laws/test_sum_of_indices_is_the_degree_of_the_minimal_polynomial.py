@@ -52,9 +52,9 @@ def test_doubt_is_admitted_where_the_similarity_hides_the_structure_from_double_
     """|A| is 1e5 to 1e10 times the eigenvalues: an answer that is wrong must nearly always be unsure."""
     rng = np.random.default_rng(1)
     wrong = wrong_and_sure = 0
-    for _ in range(100):
+    for _ in range(40):
         right, sure, _ = agrees(planted(rng, 10, 120, 4))
         wrong += not right
         wrong_and_sure += sure and not right
     assert wrong > 0
-    assert wrong_and_sure <= 2
+    assert wrong_and_sure == 0

@@ -202,7 +202,8 @@ def test_a_validation_that_was_killed_goes_on(tmp_path):
     """The process dies with no warning; the second one certifies anew, and the certificate is the same."""
     schedule = tmp_path / "schedule.csv"
     schedule.write_text("# sampling-design schedule; time_unit=s; period=1.0\ntime\n1.0\n")
-    arguments = ["validate", str(OSCILLATOR), str(schedule), "--eta", "0.4", "--runs", "150", "--duration", "9", "--quiet", "-o"]
+    short = ["--eta", "0.4", "--runs", "150", "--duration", "9", "--quiet"]
+    arguments = ["validate", str(OSCILLATOR), str(schedule), *short, "-o"]
     command = [sys.executable, "-m", "sampling_design", *arguments]
     assert subprocess.run([*command, str(tmp_path / "whole")], check=False, capture_output=True).returncode == 0
     killed, journal = tmp_path / "killed", tmp_path / "killed" / "validation.journal"

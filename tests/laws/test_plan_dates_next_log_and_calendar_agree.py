@@ -1,7 +1,7 @@
 """A plan, its dates, the next sample, the log and the calendar file name the same moments, and what they claim is true.
 
-Over a leap year with both changes of the clocks, holidays, and hours that pass midnight, in three zones. The plant is a
-level that drifts by `W` an hour at most, read to `V`: after a gap of h hours it is known to V + W h, exactly.
+Over 44 weeks of a leap year, with both changes of the clocks, holidays, and hours that pass midnight, in three zones.
+The plant is a level that drifts by `W` an hour at most, read to `V`: after h hours it is known to V + W h, exactly.
 """
 
 import contextlib

@@ -68,7 +68,7 @@ def test_a_kind_of_array_is_named_once():
 
 LISTED = {
     "AccuracyProfile", "EstimateAssumptions", "Contradiction", "DateException", "ErrorBounds", "EstimatorState",
-    "GoalDue", "HorizonRow", "MeanRows", "OptimalTrajectory", "PlanBound", "Timeline",  # what users get
+    "GoalDeadline", "HorizonRow", "MeanRows", "OptimalTrajectory", "PlanBound", "Timeline",  # what users get
     "Budget", "CostWeights", "GapFlow", "ModalFlow", "RecordCones", "SpacedRows", "StageSolution",
 }  # fmt: skip
 """Inner classes whose docstring lists attributes: users meet them, or no field stands in the class."""

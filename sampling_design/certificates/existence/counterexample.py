@@ -142,8 +142,9 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
         return None
     main = found.eigenvalue if found.eigenvalue is not None else least.rate
     return Counterexample(
-        plant, schedule, eta, main, found.partners, mu, tuple(complex(x) for x in direction), residual, found.reason
-    )
+        plant=plant, schedule=schedule, eta=eta, eigenvalue=main, partners=found.partners, multiplier=mu,
+        direction=tuple(complex(x) for x in direction), residual=residual, reason=found.reason,
+    )  # fmt: skip
 
 
 @checked

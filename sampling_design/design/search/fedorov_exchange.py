@@ -11,6 +11,7 @@ Fedorov 1972; Pukelsheim 1993.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from math import isfinite
 
 import numpy as np
 
@@ -126,8 +127,9 @@ def _moved_least(
         earlier.append(allowed.before(min(wish, earlier[-1] - gap)))
     places = []
     for wish, high, low in zip(wished, later, reversed(earlier), strict=True):
-        middle = allowed.nearest((high + low) / 2) if np.isfinite(high - low) else wish
-        places.append([place for place in (allowed.nearest(wish), high, low, middle) if np.isfinite(place)])
+        middle = allowed.nearest((high + low) / 2) if isfinite(high - low) else wish
+        near = dict.fromkeys((allowed.nearest(wish), high, low, middle))  # mostly one and the same
+        places.append([place for place in near if isfinite(place)])
     ways = [[(abs(place - wished[0]), -1, place) for place in places[0]]]
     for wish, here in zip(wished[1:], places[1:], strict=True):
         reached = []

@@ -40,7 +40,8 @@ class SigmaDeviations(Record):
     tolerance : TimingTolerance
         How early or late each sample may be.
     late : float
-        Sigma over windows of the stated length for all such times.
+        Sigma over windows of the stated length for all such times; of a rule with a tolerance that was asked for, over
+        those that are early and late together longer than its own.
     late_wider : float
         The same over windows that are early and late together longer: they hold every sample that was planned in the
         shorter one.

@@ -28,6 +28,7 @@ def test_worst_case_takes_a_tolerance_of_each_output(shell, tmp_path):
     told = shell(*rule, "far=0:0.2")
     assert "as planned; each output on time (near), up to 0.2 s late (far), over windows of 4.2 s" in asked.explain()
     assert asked.explain() in " ".join(told.out.split())
+    assert "reading at `.readings` attains `upper`" in str(asked)
     data = json.loads(shell(*rule, "far=0:0.2", "--json").out)
     assert (data["lower"], data["timing_tolerance"]) == (asked.lower, {"near": 0.0, "far": [0.0, 0.2]})
     assert data["readings"] == asked.readings.tolist()

@@ -128,7 +128,7 @@ class WorstCaseSigma(SigmaBracket):
         "{time_unit} apart{_read}",
         "{_grounds}",
         SigmaBracket._good,
-        SigmaBracket._balls.format(at="the schedule `.witness`"),
+        SigmaBracket._balls.format(at="{_attaining}"),
     )
     _table = {
         "samples come": "{_late}",
@@ -148,6 +148,9 @@ class WorstCaseSigma(SigmaBracket):
 
     def _late(self) -> str | None:
         return self.late.describe(self.time_unit) if self.late else None
+
+    def _attaining(self) -> str:
+        return "reading at `.readings`" if self.late else "the schedule `.witness`"
 
     def _read(self) -> str:
         return said_of_readings(self.family, self.late, self.time_unit)

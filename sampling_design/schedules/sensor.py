@@ -183,16 +183,17 @@ class Sensor(PlainRecord):
             return time if isinstance(time, str) else c * time
 
         delay, windows = self.result_delay, self.available
-        if isinstance(delay, (tuple, list)):
-            delay = moved(delay[0]), moved(delay[1])
-        elif delay is not None:
-            delay = moved(delay)
+        match delay:
+            case None:
+                pass
+            case (least, most):
+                delay = moved(least), moved(most)
+            case alone:
+                delay = moved(alone)
         return replace(
-            self,
-            spacing=None if self.spacing is None else moved(self.spacing),
-            result_delay=delay,
+            self, spacing=None if self.spacing is None else moved(self.spacing), result_delay=delay,
             available=windows if windows is None or isinstance(windows, tuple) else windows * c,
-        )
+        )  # fmt: skip
 
     def windows(self, name: str, calendar: OpeningCalendar | None, unit: str) -> Array | None:
         """Return when it can be read (m, 2) in `unit`, on the clock of a calendar; None: always.

@@ -122,7 +122,8 @@ def design_schedule(
     schedule over all real times with this count of samples (not only on a grid).
     *Method.* Semidefinite relaxations on grids give weights and multipliers. The multipliers give the bound
     by weak duality, re-normalised and maximised over real times, so that no solver is trusted; where the
-    requirement may be shifted in time, branching on how late each sample can be narrows it. The weights are rounded;
+    requirement may be shifted in time, windows after each sample, weighed by the gap, and branching on how late each
+    sample can be narrow it. The weights are rounded;
     even, rounded and random starts are refined by sequential semidefinite programs.
     *Numerical aspects.* Everything runs in a basis in which the windows' Gram matrices are near the
     identity; a congruence keeps the inequalities.

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
+from sampling_design.planning.cost_proof import CostProof, CostTree
 from sampling_design.planning.covering import CoveringProgram, CoveringRows, Key, relaxed
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
@@ -183,7 +183,7 @@ class _CostProver:
             if value <= before + FLAT * abs(before) and np.minimum(x, 1 - x).max(initial=0.0) > INTEGRAL:
                 break
         rows = np.flatnonzero(y)
-        leaf = CostLeaf(tuple(rows.tolist()), tuple(y[rows].tolist()))
+        leaf = CostTree(tuple(rows.tolist()), tuple(y[rows].tolist()))
         torn = np.minimum(x, 1 - x)
         whole = torn.max(initial=0.0) <= INTEGRAL
         if self.covering.lifted(value) >= self.target or self.left <= 0 or whole or self.work.over:
@@ -201,7 +201,7 @@ class _CostProver:
         without, first = self.node(low, down)
         if self.lost or min(first, second) <= value:
             return leaf, value
-        return CostBranch(k, without, given), min(first, second)
+        return CostTree(variable=k, branches=(without, given)), min(first, second)
 
     def _cut(self, x: Array) -> bool:
         """Add rows that a point breaks: turns of trajectories that there are, else new trajectories."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias, Union
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,68 +13,44 @@ from sampling_design.records.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
-class CostLeaf:
-    """Multipliers: rows and their values."""
+class CostTree:
+    """A leaf: multipliers `values` of `rows`; or the trees where one variable is forbidden, and where it is given."""
 
-    rows: tuple[int, ...]
-    values: tuple[float, ...]
+    rows: tuple[int, ...] = ()
+    values: tuple[float, ...] = ()
+    variable: int = 0
+    branches: tuple[CostTree, ...] = ()
 
-    def leaves(self) -> list[CostLeaf]:
+    def leaves(self) -> list[CostTree]:
         """All leaves of the tree."""
-        return [self]
+        return [leaf for branch in self.branches for leaf in branch.leaves()] if self.branches else [self]
 
     def fits(self, rows: int, columns: int) -> bool:
         """Whether a tree names only rows and variables that there are."""
-        return all(0 <= row < rows for row in self.rows)
+        here = all(0 <= row < rows for row in self.rows) and 0 <= self.variable < columns
+        return here and all(branch.fits(rows, columns) for branch in self.branches)
 
-    def numbered(self, place: Callable[[int], int]) -> CostLeaf:
+    def numbered(self, place: Callable[[int], int]) -> CostTree:
         """The tree with other numbers of rows."""
-        return CostLeaf(tuple(map(place, self.rows)), self.values)
+        rows, branches = tuple(map(place, self.rows)), tuple(branch.numbered(place) for branch in self.branches)
+        return replace(self, rows=rows, branches=branches)
 
-    def below(self, model: CoveringProgram, low: Array, high: Array) -> float:
+    def below(self, program: CoveringProgram, low: Array, high: Array) -> float:
         """What the tree proves of choices between bounds."""
-        y = np.zeros(model.b.size)
+        if self.branches:
+            up, down = low.copy(), high.copy()
+            up[self.variable], down[self.variable] = 1.0, 0.0
+            without, given = self.branches
+            return min(without.below(program, low, down), given.below(program, up, high))
+        y = np.zeros(program.b.size)
         y[list(self.rows)] = self.values
-        return proven(model, np.maximum(y, 0.0), low, high)
+        return proven(program, np.maximum(y, 0.0), low, high)
 
     def to_list(self) -> list[dict[str, object]]:
         """Nodes in the order of a walk, first what is without the variable: a file is never nested deeply."""
+        if self.branches:
+            return [{"variable": self.variable}, *(node for branch in self.branches for node in branch.to_list())]
         return [{"multipliers": [[row, value] for row, value in zip(self.rows, self.values, strict=True)]}]
-
-
-@dataclass(frozen=True, eq=False)
-class CostBranch:
-    """One variable forbidden, or given."""
-
-    variable: int
-    without: CostTree
-    given: CostTree
-
-    def leaves(self) -> list[CostLeaf]:
-        """All leaves of the tree."""
-        return [*self.without.leaves(), *self.given.leaves()]
-
-    def fits(self, rows: int, columns: int) -> bool:
-        """Whether a tree names only rows and variables that there are."""
-        both = self.without.fits(rows, columns) and self.given.fits(rows, columns)
-        return 0 <= self.variable < columns and both
-
-    def numbered(self, place: Callable[[int], int]) -> CostBranch:
-        """The tree with other numbers of rows."""
-        return CostBranch(self.variable, self.without.numbered(place), self.given.numbered(place))
-
-    def below(self, model: CoveringProgram, low: Array, high: Array) -> float:
-        """What the tree proves of choices between bounds."""
-        up, down = low.copy(), high.copy()
-        up[self.variable], down[self.variable] = 1.0, 0.0
-        return min(self.without.below(model, low, down), self.given.below(model, up, high))
-
-    def to_list(self) -> list[dict[str, object]]:
-        """Nodes in the order of a walk."""
-        return [{"variable": self.variable}, *self.without.to_list(), *self.given.to_list()]
-
-
-CostTree: TypeAlias = Union[CostLeaf, CostBranch]  # noqa: UP007
 
 
 @dataclass(frozen=True, eq=False)

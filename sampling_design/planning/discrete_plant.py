@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from sampling_design.accuracy.undetectable import known_part
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
-from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import short
 from sampling_design.records.units import spoken
@@ -31,6 +31,7 @@ HIDDEN = 1e-9  # a direction is hidden from rows of norm one that show less than
 GROWTH = 200.0
 """Logarithm of the growth beyond which nothing is followed: what has grown so much broke its tolerance long before."""
 
+FINER = (2, 3, 4, 5, 6, 7)  # parts of a step that are tried
 STAYS = 1e-6  # a mode that loses no more than this share in a period never decays
 
 
@@ -48,8 +49,9 @@ class DiscretePlant:
     S: Array
     step: float
     ball: bool  # whether |w| is Euclidean
-    _flows: dict[int, Array] = field(default_factory=dict)
-    _gaps: dict[int, tuple[Array, Array, list[int]]] = field(default_factory=dict)
+    _flows: dict[int, Array] = field(default_factory=dict, init=False)
+    _gaps: dict[int, tuple[Array, Array, list[int]]] = field(default_factory=dict, init=False)
+    _grids: dict[object, tuple[Array, Array, float]] = field(default_factory=dict, init=False)
 
     @property
     def n(self) -> int:
@@ -101,6 +103,22 @@ class DiscretePlant:
             self._gaps[steps] = self._cut(steps)
         return self._gaps[steps]
 
+    def over(self, rows: Array, steps: int) -> tuple[Array, Array, float]:
+        """Rows of z at each of so many steps as rows of z at the first, of norm one; F over all of them, and a scale.
+
+        That is F over e^scale: only directions are asked for, and growth may overflow.
+        """
+        key = rows.tobytes(), steps
+        if key not in self._grids:
+            found, power, log = np.empty((steps, *rows.shape)), np.eye(self.n), 0.0
+            for i in range(steps):
+                found[i] = rows @ power
+                power = self.F @ power
+                size = max(float(np.abs(power).max()), np.finfo(float).tiny)
+                power, log = power / size, log + float(np.log(size))
+            self._grids[key] = _even(found), power, log
+        return self._grids[key]
+
     def _cut(self, steps: int) -> tuple[Array, Array, list[int]]:
         number = min(max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
         edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
@@ -130,16 +148,8 @@ def hidden_at(
     the rows of z, at any time to those that are `always` wanted; whether another sensor would show them is nothing
     to these rows. `outputs`: those of z that are read, default H.
     """
-    H = discrete.H if outputs is None else outputs
-    steps, p = chosen.shape
-    outputs_at = np.empty((steps, p, discrete.n))
-    moved = np.empty((steps, len(rows), discrete.n))
-    power, log = np.eye(discrete.n), 0.0  # F^i over e^log: only directions are asked for, and growth may overflow
-    for i in range(steps):
-        outputs_at[i], moved[i] = _even(H @ power), _even(rows @ power)
-        power = discrete.F @ power
-        size = max(float(np.abs(power).max()), np.finfo(float).tiny)
-        power, log = power / size, log + float(np.log(size))
+    outputs_at, power, log = discrete.over(discrete.H if outputs is None else outputs, len(chosen))
+    moved, _, _ = discrete.over(rows, len(chosen))
     stays = (1 - STAYS) * np.exp(-max(log, -700.0))
     later = [outputs_at[chosen]]
     for _ in range(discrete.n - 1):
@@ -202,10 +212,9 @@ def discretize(problem: PlanProblem) -> DiscretePlant:
                 "no plan can keep its tolerance. Add a sensor, or a `noise_bound` to one that has none.",
                 "accuracy",
             )
-    outputs_at = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
-    bounds = SignalBounds.of(
-        known.plant, count, np.tile(np.isfinite(outputs_at), (count, 1)), bound_on_w, _finite(outputs_at)
-    )
+    noise = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
+    read = np.isfinite(noise)
+    bounds = SignalBounds.of(known.plant, count, np.tile(read, (count, 1)), bound_on_w, np.where(read, noise, 1.0))
     system = periodic_system(known.plant, gaps, bounds)
     own = system.D[:, None] * system.L[0]
     C = known.plant.C @ own
@@ -224,6 +233,31 @@ def discretize(problem: PlanProblem) -> DiscretePlant:
     )
 
 
-def _finite(bounds: Array) -> Array:
-    """Noise bounds with a number where a sensor has none; such a sensor is masked out."""
-    return np.where(np.isfinite(bounds), bounds, 1.0)
+def modes_of(discrete: DiscretePlant, undetected: UndetectedModes) -> str:
+    """Return the modes that hidden trajectories are made of, in words."""
+    names = []
+    scale = max(float(np.linalg.norm(discrete.A, 2)), np.finfo(float).tiny)
+    clusters = eigenvalue_clusters(discrete.A)
+    for cluster in clusters:
+        value = complex(cluster.value)
+        others = [complex(c.value) for c in clusters if c is not cluster]
+        part = undetected.states.astype(np.complex128)
+        for other in others:  # what is left after every other mode is taken out, as often as it may be repeated
+            for _ in range(discrete.n - len(others)):
+                part = (discrete.A - other * np.eye(discrete.n)) @ part / (scale + abs(other))
+        if np.linalg.norm(part) > HIDDEN and value.imag >= 0:
+            names.append(format_eigenvalue(value, grain=STAYS / discrete.step))
+    return f"a trajectory of the mode{'s' if len(names) > 1 else ''} {', '.join(names)}" if names else "a trajectory"
+
+
+def finer_grid(problem: PlanProblem, discrete: DiscretePlant, rows: Array) -> float | None:
+    """Return a grid that shows all that never decays, in the hours that there are; None if none was found."""
+    always = np.array([goal.at == "all times" for goal in problem.goals], dtype=bool)
+    for parts in FINER:
+        if problem.steps * parts > MOST_STEPS:
+            break
+        finer = replace(discrete, step=discrete.step / parts)
+        allowed = np.repeat(problem.allowed, parts, axis=0)
+        if hidden_at(finer, allowed, rows, always) is None:
+            return problem.step / parts
+    return None

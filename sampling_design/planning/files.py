@@ -28,7 +28,7 @@ from sampling_design.checkers.strict import (
     table,
     word,
 )
-from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
+from sampling_design.planning.cost_proof import CostProof, CostTree
 from sampling_design.planning.discrete_plant import DiscretePlant, discretize
 from sampling_design.planning.evidence import PlanBound, trajectory_of
 from sampling_design.planning.figures import LEFT_OUT, PlanStart
@@ -223,6 +223,6 @@ def _tree(nodes: Iterator[Tree], place: str, depth: int = 0) -> CostTree:
     if node is None or len(node) != 1 or depth > 400:
         raise refuse(place, "has a tree that is cut off")
     if "variable" in node:
-        return CostBranch(node["variable"], _tree(nodes, place, depth + 1), _tree(nodes, place, depth + 1))
+        return CostTree(variable=node["variable"], branches=tuple(_tree(nodes, place, depth + 1) for _ in range(2)))
     pairs = node["multipliers"]
-    return CostLeaf(tuple(int(row) for row, _ in pairs), tuple(float(value) for _, value in pairs))
+    return CostTree(tuple(int(row) for row, _ in pairs), tuple(float(value) for _, value in pairs))

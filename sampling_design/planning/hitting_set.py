@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree, proven_cost
+from sampling_design.planning.cost_proof import CostProof, CostTree, proven_cost
 from sampling_design.planning.covering import CoveringRows, Key
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.work_prices import MEETING
@@ -148,26 +148,26 @@ class _Search:
                 return None
             self.given[k] = False
             branches.append((k, below))
-        tree: CostTree = self._closed(asked[first])
+        tree = self._closed(asked[first])
         for k, below in reversed(branches):
-            tree = CostBranch(k, tree, below)
+            tree = CostTree(variable=k, branches=(tree, below))
         return tree
 
-    def _closed(self, row: np.intp) -> CostLeaf:
+    def _closed(self, row: np.intp) -> CostTree:
         """Where a trajectory is shown by nothing that is left: its row alone proves any cost."""
-        return CostLeaf((int(row),), (self.below,))
+        return CostTree((int(row),), (self.below,))
 
-    def _counted(self, rows: Index) -> CostLeaf:
+    def _counted(self, rows: Index) -> CostTree:
         """Where so many trajectories ask for one sample each: the samples cost too much, or are too many."""
         price, count = float(self.covering.cost[0]), int(self.given[:-1].sum()) + len(rows)
         missing = self.below - price * count
         if missing <= TIE * self.below:
-            return CostLeaf(tuple(rows.tolist()), (price,) * len(rows))
+            return CostTree(tuple(rows.tolist()), (price,) * len(rows))
         A, b = self.covering.frame
         limit = min(self.covering.limits, key=lambda row: b[row] / A[row, 0])
         value = missing / (b[limit] - A[limit, 0] * count)
         each = price - value * A[limit, 0]
-        return CostLeaf((*rows.tolist(), limit - self.frame), (*(each,) * len(rows), value))
+        return CostTree((*rows.tolist(), limit - self.frame), (*(each,) * len(rows), value))
 
     def _proof_of(self, tree: CostTree) -> CostProof | None:
         """The proof with the rows that it uses, the frame's before them."""

@@ -23,7 +23,7 @@ from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.coarser_grid import coarser, lifted_choices, lifted_trajectories
 from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
-from sampling_design.planning.discrete_plant import discretize
+from sampling_design.planning.discrete_plant import discretize, finer_grid, modes_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice, tighter_margins
@@ -36,7 +36,6 @@ from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.search_progress import AFTERWARDS, PlanProgress
 from sampling_design.planning.start import plan_start
-from sampling_design.planning.undetected_modes import finer_grid, modes_of
 from sampling_design.planning.work_prices import AFTER, CERTIFIED, GAINS
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -256,9 +255,9 @@ class _Planning:
         for margin in margins:
             again = True
             while again:
-                search.found.chosen, search.found.complete = None, False
+                search.chosen, search.complete = None, False
                 search.cheapest(1 - margin, ROUNDS)
-                last = self.feasible.proven(everything if search.found.chosen is None else search.found.chosen)
+                last = self.feasible.proven(everything if search.chosen is None else search.chosen)
                 again = last.worst > 1 and not search.late and self._needs_longer_past(last)
             if last.worst <= 1 or search.late:
                 break
@@ -280,7 +279,7 @@ class _Planning:
         self.progress.bounded(self.least.value)
         rival = self._better(best, cost)
         best = self.feasible.sharpest(rival.incumbents, best)
-        known, keys = rival.found.out_of_reach, rival.found.keys
+        known, keys = rival.out_of_reach, rival.keys
         self.oracle.work.extend(*AFTER[1])
         ratio = out_of_reach(
             frame, search.pool, cost, known, best.worst, WIDTH, keys=keys, work=self.oracle.work, find=search.find
@@ -352,9 +351,9 @@ class _Planning:
         for chosen in [self._detecting(sparse(self.problem)), *self.started()]:
             worst, trajectories = self.oracle.judge(chosen)
             search.add(trajectories, 0.0)
-            if worst < search.found.worst:
+            if worst < search.worst:
                 search.keep(chosen, worst)
-        search.seed(search.found.worst * 0.9)
+        search.seed(search.worst * 0.9)
         search.improve(ROUNDS)
         last = self._proven_incumbent()
         while self._needs_longer_past(last) and not search.late:
@@ -367,7 +366,7 @@ class _Planning:
         """The least ratio of accuracy to tolerance that the limits allow, and what no choice can do."""
         search = self.search
         best = self.feasible.sharpest(search.incumbents, self._most_accurate())
-        limit, known, keys = limit_of(self.problem, 0.0), search.found.out_of_reach, search.found.keys
+        limit, known, keys = limit_of(self.problem, 0.0), search.out_of_reach, search.keys
         work = self.oracle.work
         work.extend(*AFTER[1])
         ratio = out_of_reach(
@@ -379,8 +378,8 @@ class _Planning:
 
     def _proven_incumbent(self) -> ProvenChoice:
         """What the search holds, proven."""
-        assert self.search.found.chosen is not None
-        return self.feasible.proven(self.search.found.chosen)
+        assert self.search.chosen is not None
+        return self.feasible.proven(self.search.chosen)
 
     def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
@@ -444,6 +443,6 @@ class _Planning:
         )
 
     def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
-        complete = sure and self.search.found.complete
+        complete = sure and self.search.complete
         self.progress.proven(best.chosen, best.worst)
         return plan_of(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")

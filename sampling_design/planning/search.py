@@ -7,8 +7,6 @@ them all, there is none. Nothing here is a claim: the plan is proven afterwards,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from sampling_design.planning.accuracy_oracle import SETTLED, AccuracyOracle
@@ -38,18 +36,6 @@ NARROW = 0.01  # relative distance between the best choice and the level shown t
 STEP = 0.03  # how much better than the best so far is asked for next
 
 
-@dataclass(eq=False)
-class PlanSearchState:
-    """Where a search stands."""
-
-    chosen: Mask | None = None
-    worst: float = np.inf
-    out_of_reach: float = 0.0
-    keys: list[Key] = field(default_factory=list)
-    rounds: int = 0
-    complete: bool = False
-
-
 class PlanSearch:
     """A search over choices of one problem, with its pool of trajectories."""
 
@@ -59,7 +45,13 @@ class PlanSearch:
         self.free = problem.is_free
         self.covering = CoveringRows(problem, fixed=self.free)
         self.pool = HiddenTrajectories(problem.steps, [problem.ends(g) for g in range(len(problem.goals))])
-        self.found = PlanSearchState()
+        self.chosen: Mask | None = None
+        """The best choice so far, and what it was judged to be."""
+        self.worst = np.inf
+        self.out_of_reach = 0.0
+        """The highest level that no choice was found to keep, and the rows that say so."""
+        self.keys: list[Key] = []
+        self.complete = False
         self.stochastic = all(goal.stochastic for goal in problem.goals)
         self.incumbents: list[tuple[Mask, float]] = []
         """Every choice that was the best so far, and what it was judged to be: none is forgotten."""
@@ -101,7 +93,7 @@ class PlanSearch:
         """
         stochastic = [g for g, goal in enumerate(self.problem.goals) if goal.stochastic]
         z = np.where(self.problem.allowed, 1.0 / max(1, int(self.problem.allowed.sum())), 0.0)
-        keys, least = list(self.found.keys), 0.0
+        keys, least = list(self.keys), 0.0
         for _ in range(TANGENTS if stochastic else 0):
             found = [self.oracle.tangent(z, g) for g in stochastic]
             fresh = [t for t in found if t is not None and weighed(t, np.array(np.sum(t.peaks * t.touches))) > level]
@@ -174,12 +166,11 @@ class PlanSearch:
             few = self._few(level)
             chosen, none = (few.chosen, few.none) if few is not None else self._candidate(keys, level)
             if none:
-                self.found.out_of_reach = max(self.found.out_of_reach, level)
-                self.found.keys = keys
+                self.out_of_reach = max(self.out_of_reach, level)
+                self.keys = keys
                 return False
             if chosen is None:
                 return None
-            self.found.rounds += 1
             if self.judged(chosen, level):
                 return True
         return None
@@ -234,11 +225,11 @@ class PlanSearch:
     def judged(self, chosen: Mask, level: float) -> bool:
         """Polish a choice, judge it, and keep what trajectories it, or it."""
         for trial in (chosen, self.polished(chosen)):
-            worst, trajectories = self.oracle.judge(trial, above=max(level, self.found.worst))
+            worst, trajectories = self.oracle.judge(trial, above=max(level, self.worst))
             self.add(trajectories, level)
             if worst <= level:
                 worst = self.deepened(trial, worst, level)
-            better = worst < self.found.worst if self.found.worst > 1 or self.found.chosen is None else worst <= level
+            better = worst < self.worst if self.worst > 1 or self.chosen is None else worst <= level
             if better and worst < np.inf:
                 self.keep(trial, worst)
             if worst <= level:
@@ -271,7 +262,7 @@ class PlanSearch:
 
     def keep(self, chosen: Mask, worst: float) -> None:
         """Remember the best choice."""
-        self.found.chosen, self.found.worst = chosen, worst
+        self.chosen, self.worst = chosen, worst
         self.incumbents.append((chosen, worst))
         self.progress.found(chosen, worst)
 
@@ -366,7 +357,7 @@ class PlanSearch:
 
     def cheapest(self, level: float, rounds: int) -> None:
         """The least cost at a level: the cheapest choices that see every trajectory, until one of them holds."""
-        keys = self.found.keys
+        keys = self.keys
         best, fruitless = self._started(level), 0
         for _ in range(rounds):
             self.progress.say(f"{len(self.pool.trajectories)} trajectories")
@@ -374,12 +365,11 @@ class PlanSearch:
                 return
             chosen, none = self._candidate(keys, level, best)
             if chosen is None or self.problem.cost(chosen) >= best * (1 - 1e-9):
-                self.found.complete = best < np.inf and (none or chosen is not None)
-                self.found.out_of_reach = level if none and best == np.inf else 0.0
+                self.complete = best < np.inf and (none or chosen is not None)
+                self.out_of_reach = level if none and best == np.inf else 0.0
                 return
-            if self.late and self.found.chosen is not None:  # cut short: what a longer search would never look at
+            if self.late and self.chosen is not None:  # cut short: what a longer search would never look at
                 return
-            self.found.rounds += 1
             more = self.repaired(chosen, level, best) if fruitless < FRUITLESS or not self.oracle.few else None
             fruitless = 0 if more is not None else fruitless + 1
             for trial in (chosen, more):
@@ -441,11 +431,11 @@ class PlanSearch:
         """Most accurate: ask for a little less than the best so far until that is out of reach."""
         least = self.pool.against(self.problem.allowed)[0]
         while not self.late:
-            lowest = max(self.found.out_of_reach, least * BELOW)
-            if self.found.worst <= lowest * (1 + NARROW):  # both are 0 where nothing drives what is wanted
-                self.found.complete = lowest > 0
+            lowest = max(self.out_of_reach, least * BELOW)
+            if self.worst <= lowest * (1 + NARROW):  # both are 0 where nothing drives what is wanted
+                self.complete = lowest > 0
                 return
-            level = max(self.found.worst * (1 - STEP), (self.found.worst + lowest) / 2 if lowest else 0.0)
+            level = max(self.worst * (1 - STEP), (self.worst + lowest) / 2 if lowest else 0.0)
             answer = self.decide(level, rounds)
             if answer is None:
                 return

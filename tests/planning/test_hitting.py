@@ -10,7 +10,7 @@ from sampling_design import PlanRequirement, Plant, plan_samples
 from sampling_design.planning import hitting_set
 from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import prove_cost
-from sampling_design.planning.cost_proof import CostBranch, CostLeaf, proven_cost
+from sampling_design.planning.cost_proof import CostTree, proven_cost
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import PlanBound, bound_holds
@@ -114,10 +114,10 @@ def test_a_limit_of_money_is_one_of_samples(limit):
 
 def leaves(tree):
     """How many there are, and the tree with one of its leaves, by number, proving nothing."""
-    if isinstance(tree, CostLeaf):
-        return 1, lambda k: CostLeaf((), ()) if k == 0 else tree
-    (left, mend), (right, mend_right) = leaves(tree.without), leaves(tree.given)
-    return left + right, lambda k: CostBranch(tree.variable, mend(k), mend_right(k - left))
+    if not tree.branches:
+        return 1, lambda k: CostTree() if k == 0 else tree
+    (left, mend), (right, mend_right) = map(leaves, tree.branches)
+    return left + right, lambda k: replace(tree, branches=(mend(k), mend_right(k - left)))
 
 
 def unseen():

@@ -18,8 +18,7 @@ from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.start import InitialError
 from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
-from sampling_design.accuracy.witness import KEPT, AccuracyWitness
-from sampling_design.accuracy.worst_witness import left_open, strongest_witness
+from sampling_design.accuracy.witness import KEPT, AccuracyWitness, left_open, strongest_witness
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows

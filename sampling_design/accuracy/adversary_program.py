@@ -18,7 +18,7 @@ from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.start import ErrorBefore, StartSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
-from sampling_design.numerics.stage_programs import StageProgram
+from sampling_design.numerics.stage_programs import StageProgram, StageSolution
 from sampling_design.records.arrays import Array
 
 TOLERANCE = 1e-8  # asked of the solver; what it leaves open shows in the bracket, never in a bound
@@ -35,22 +35,19 @@ STALLED = 5e-3  # a program over stages whose two sides differ by more than this
 
 
 @dataclass(frozen=True, eq=False)
-class _WindowPoint:
-    """Point and multipliers of a window's program, unchecked."""
-
-    z: Array  # (K, n)
-    w: list[Array]  # (m, q) per gap
-    gains: list[Array]  # (p_k,)
-    ahead: Array  # (K-1, n): the costate after each sample but the first
-
-
-@dataclass(frozen=True, eq=False)
 class Adversary:
-    """An admissible w with all y = 0: cells per gap, and the state at the last sample."""
+    """An admissible w with all y = 0 against some row at a sample; its last state serves against every other row."""
 
     value: float
     w: tuple[Array, ...]  # (m, q) per gap, in units of the bound, latest cell first
     z: Array  # (K, n)
+    sample: int
+    system: SampledSystem  # with the cells on which w is constant
+
+    @property
+    def end(self) -> Array:
+        """z at the sample."""
+        return np.asarray(self.z[-1])
 
 
 def boxed(system: SampledSystem, nodes: list[int]) -> bool:
@@ -121,7 +118,7 @@ class ConeWindow:
             table.unit_balls(K * n, q, (table.columns - K * n) // q)
         self._b, self._solver = table.b(), ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance)
 
-    def _solved(self, mu: Array, enough: float = 0.0) -> _WindowPoint:
+    def _solved(self, mu: Array, enough: float = 0.0) -> StageSolution:
         """Point and multipliers for the target mu'z_K; zeros where the solver brought none."""
         size = float(np.linalg.norm(mu))
         if size == 0:
@@ -129,31 +126,29 @@ class ConeWindow:
         if self._stages is not None:
             found = self._stages.solve(mu, filter_gains(self.system, self.nodes, mu), STAGED, enough, NEAR)
             if found.gap <= (NEAR if enough > 0 else STALLED):
-                q = self.system.G.shape[1]
-                w = [u.reshape(-1, q) for u in found.u]
-                return _WindowPoint(found.z, w, list(found.gains), found.costates)
+                return found
         if not self._built:
             self._build()
         return self._coned(mu / size, size)
 
-    def _coned(self, mu: Array, size: float) -> _WindowPoint:
+    def _coned(self, mu: Array, size: float) -> StageSolution:
         """What the general solver finds."""
-        n, K, q = mu.size, len(self.nodes), self.system.G.shape[1]
+        n, K = mu.size, len(self.nodes)
         cost = np.zeros(int(self._w_at[-1]))
         cost[(K - 1) * n : K * n] = -mu
         x, y, status = self._solver.solve(cost, self._b)
         self.infeasible = status == INFEASIBLE
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):
             return self._nowhere()
-        w = [x[i:j].reshape(-1, q) for i, j in pairwise(self._w_at)]
-        return _WindowPoint(
-            x[: K * n].reshape(K, n), w, self._gains(y * size), (y * size)[: (K - 1) * n].reshape(-1, n)
-        )
+        w, y = tuple(x[i:j] for i, j in pairwise(self._w_at)), y * size
+        z, costates = x[: K * n].reshape(K, n), y[: (K - 1) * n].reshape(-1, n)
+        return StageSolution(z, w, tuple(self._gains(y)), costates, np.zeros(0), np.inf)
 
-    def _nowhere(self) -> _WindowPoint:
+    def _nowhere(self) -> StageSolution:
         nothing, K = self._nothing(), len(self.nodes)
-        gains = [np.zeros(len(self.system.samples[j].H)) for j in self.nodes]
-        return _WindowPoint(nothing.z, list(nothing.w), gains, np.zeros((K - 1, self.system.D.size)))
+        gains = tuple(np.zeros(len(self.system.samples[j].H)) for j in self.nodes)
+        costates = np.zeros((K - 1, self.system.D.size))
+        return StageSolution(nothing.z, nothing.w, gains, costates, np.zeros(0), np.inf)
 
     def gains(self, mu: Array, enough: float = 0.0) -> Gains:
         """Return the best gains for the target mu'z_K, with what they prove; good ones, if that is `enough`."""
@@ -167,7 +162,7 @@ class ConeWindow:
     def _nothing(self) -> Adversary:
         system = self.system
         w = tuple(np.zeros(system.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
-        return Adversary(0.0, w, np.zeros((len(self.nodes), system.D.size)))
+        return Adversary(0.0, w, np.zeros((len(self.nodes), system.D.size)), self.nodes[-1], system)
 
     def _gains(self, y: Array) -> list[Array]:
         """Gains from the multipliers of the noise cones."""
@@ -185,12 +180,12 @@ class ConeWindow:
             found.append(gains)
         return found
 
-    def _steadied(self, mu: Array, point: _WindowPoint) -> list[Array]:
+    def _steadied(self, mu: Array, point: StageSolution) -> list[Array]:
         """The solver's gains, corrected by the filter's wherever its costate and the true one part.
 
         The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
         """
-        system, raw, ahead = self.system, point.gains, point.ahead
+        system, raw, ahead = self.system, point.gains, point.costates
         gains: list[Array] = [np.zeros(0)] * len(raw)
         true, meant = mu, mu
         for k in range(len(raw) - 1, -1, -1):
@@ -205,7 +200,7 @@ class ConeWindow:
         """Return what any gains prove, for all real times."""
         return evaluated(self.system, self.nodes, self.start, mu, gains, self.data)
 
-    def _admissible(self, mu: Array, point: _WindowPoint) -> Adversary:
+    def _admissible(self, mu: Array, point: StageSolution) -> Adversary:
         """The solver's disturbance, simulated from its start (0 unless that is a set) and scaled until admissible."""
         system, n, K = self.system, mu.size, len(self.nodes)
         best = self._nothing()
@@ -213,7 +208,7 @@ class ConeWindow:
             z, w = np.zeros((K, n)), []
             z[0] = self._first(point.z[0])
             for k, j in enumerate(self.nodes[:-1]):
-                gap, q, u = system.gap(j), system.G.shape[1], point.w[k]
+                gap, q, u = system.gap(j), system.G.shape[1], point.u[k].reshape(-1, system.G.shape[1])
                 z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
                 if corrected:
                     flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
@@ -222,7 +217,8 @@ class ConeWindow:
                     z[k + 1] += flat @ extra
                 w.append(u)
             factor = self._excess(z, w)
-            found = Adversary(float(mu @ z[-1]) / factor, tuple(u / factor for u in w), z / factor)
+            value, scaled = float(mu @ z[-1]) / factor, tuple(u / factor for u in w)
+            found = Adversary(value, scaled, z / factor, self.nodes[-1], system)
             if np.isfinite(factor) and found.value > best.value:
                 best = found
             if best.value > 0 and factor <= 1 + SLIGHT:

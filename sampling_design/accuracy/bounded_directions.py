@@ -21,14 +21,6 @@ PARTNERS = 4  # directions tried beside the nearest one
 NEIGHBOURS = (64, 16, 4, 1)  # how far away, on both sides, the neighbours are whose pairs a target tries
 
 
-@dataclass(frozen=True, eq=False)
-class DirectionFit:
-    """Targets as combinations of two directions: mu[t] = sum_k share[t, k] direction[place[t, k]] + rest."""
-
-    place: Index
-    share: Array
-
-
 @dataclass(eq=False)
 class BoundedDirections:
     """Bounded directions after one sample."""
@@ -45,7 +37,7 @@ class BoundedDirections:
     def of(
         cls, reach: Array, mu: Array, gains: Sequence[tuple[Array, ...]], values: Sequence[float]
     ) -> BoundedDirections:
-        """Atoms as they were kept, all of them."""
+        """Those that were kept, all of them."""
         found = cls(np.eye(len(reach)), reach)
         found.mu, found.gains = mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)]
         return found
@@ -96,14 +88,16 @@ class BoundedDirections:
         size = np.linalg.norm(scaled, axis=1, keepdims=True)
         return np.asarray(scaled / np.where(size > 0, size, 1.0))
 
-    def fit(self, targets: Array) -> DirectionFit:
-        """Return each target as a share of one direction, or of the best pair of near ones on both sides of it.
+    def fit(self, targets: Array) -> tuple[Index, Array]:
+        """Return each target as mu[t] = sum_k share[t, k] direction[place[t, k]] + rest: places and shares (T, 2).
+
+        Of one direction, or of the best pair of near ones on both sides of it.
 
         Targets come along a curve as a rule: what serves a neighbour may serve a target.
         """
         count, directions = len(targets), len(self.gains)
         if not directions:
-            return DirectionFit(np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0)))
+            return np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0))
         scaled = [x @ self.basis * self.reach for x in (targets, self.mu)]
         lengths = [np.linalg.norm(x, axis=1) for x in scaled]
         unit = np.where(lengths[1] > 0, lengths[1], 1.0)
@@ -112,16 +106,16 @@ class BoundedDirections:
         size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
         rest = np.sqrt(np.maximum(1 - near**2, 0.0))
         alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
-        best = DirectionFit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
-        best = DirectionFit(best.place, best.share * lengths[0][:, None] / unit[best.place])
+        place = np.stack([alone, alone], axis=1)
+        share = np.stack([near[rows, alone], np.zeros(count)], axis=1) * lengths[0][:, None] / unit[place]
         if directions == 1:
-            return best
-        value, bounded = self.judged(targets, best), self.values
+            return place, share
+        value, bounded = self.judged(targets, place, share), self.values
         X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in scaled)
 
         def tried(first: Index, second: Index) -> None:
             """Take pairs (k, t) and (k, t), k of them for each target, where they bound it better."""
-            nonlocal best, value
+            nonlocal place, share, value
             gram, a, b = cosines[first, second], near[rows, first], near[rows, second]
             det = 1 - gram**2
             alike = det < SAME
@@ -137,11 +131,8 @@ class BoundedDirections:
             least = found[at]
             better = least < value
             if better.any():
-                place = np.stack([first[at], second[at]], axis=1)
-                share = np.stack([one[at], two[at]], axis=1)
-                best = DirectionFit(
-                    np.where(better[:, None], place, best.place), np.where(better[:, None], share, best.share)
-                )
+                place = np.where(better[:, None], np.stack([first[at], second[at]], axis=1), place)
+                share = np.where(better[:, None], np.stack([one[at], two[at]], axis=1), share)
                 value = np.minimum(value, least)
 
         firsts, seconds = list[Index](), list[Index]()
@@ -154,18 +145,18 @@ class BoundedDirections:
         tried(np.array(firsts), np.array(seconds))
         for shift in NEIGHBOURS if count > 1 else ():
             around = (rows + np.array([[-shift], [shift]])) % count
-            tried(best.place[around, 0], best.place[around, 1])
-        return best
+            tried(place[around, 0], place[around, 1])
+        return place, share
 
     def bound(self, targets: Array) -> Array:
         """Return bounds on rho of directions (t, n)."""
         plain = self.rest(targets, targets)
-        return np.minimum(self.judged(targets, self.fit(targets)), plain) if self.gains else plain
+        return np.minimum(self.judged(targets, *self.fit(targets)), plain) if self.gains else plain
 
-    def judged(self, targets: Array, fit: DirectionFit) -> Array:
+    def judged(self, targets: Array, place: Index, share: Array) -> Array:
         """Return what a fit bounds."""
-        made = np.einsum("tk,tkn->tn", fit.share, self.mu[fit.place])
-        known = np.einsum("tk,tk->t", np.abs(fit.share), self.values[fit.place])
+        made = np.einsum("tk,tkn->tn", share, self.mu[place])
+        known = np.einsum("tk,tk->t", np.abs(share), self.values[place])
         return np.asarray(known + self.rest(targets - made, targets))
 
     def rest(self, rest: Array, targets: Array) -> Array:

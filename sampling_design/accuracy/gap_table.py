@@ -110,11 +110,11 @@ class GapTable:
         `rows` are in units of their noise.
         """
         balance = balanced_schur(A).d
-        moved, pushed = A * balance / balance[:, None], G / balance[:, None]
+        moved, driven = A * balance / balance[:, None], G / balance[:, None]
         if not lengths.size:
             return cls(A, G, balance)
         with np.errstate(over="ignore", invalid="ignore"):
-            F, W = discounted_flow(moved, pushed @ pushed.T, lengths)
+            F, W = discounted_flow(moved, driven @ driven.T, lengths)
         D = state_scales(F, W * float(np.mean(lengths)), [H * balance for H in rows])
         return cls(A, G, balance * D)
 
@@ -194,7 +194,10 @@ class DisturbanceQuadrature:
         self._groups = []
         for count in sorted(set(counts)):
             at = [k for k, own in enumerate(counts) if own == count]
-            self._groups.append((at, _Stacked([gaps[k] for k in at])))
+            both = np.array([[gaps[k].propagated, gaps[k].bend] for k in at])  # (J, 2, panels + 1, n, q)
+            rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(at), -1, both.shape[3])
+            third, step = np.array([gaps[k].third for k in at]), np.array([gaps[k].step for k in at])[:, None]
+            self._groups.append((at, rows, both.shape, third, step))
 
     def integral(self, g: Array, ball: bool) -> float:
         """Return a bound on the sum over gaps j of int h_W(G'e^{A's} g_j) ds for g (J, n), for all real times.
@@ -202,31 +205,16 @@ class DisturbanceQuadrature:
         On a panel |p| lies below its chord plus (s-a)(b-s)/2 sup|p''|; sup|p''| is at most that at the ends plus half
         a panel times sup|p'''|. Infinite where a flow overflows.
         """
+        total = 0.0
         with np.errstate(over="ignore", invalid="ignore"):
-            total = sum(stacked.integral(g[at], ball) for at, stacked in self._groups)
-        return float(total) if np.isfinite(total) else np.inf
-
-
-class _Stacked:
-    """Gaps with equally many panels."""
-
-    def __init__(self, gaps: list[PropagatedGap]):
-        both = np.array([[gap.propagated, gap.bend] for gap in gaps])  # (J, 2, panels + 1, n, q)
-        self._shape = (len(gaps), 2, both.shape[2], both.shape[4])
-        self._rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(gaps), -1, both.shape[3])
-        self.third, self.step = np.array([gap.third for gap in gaps]), np.array([gap.step for gap in gaps])[:, None]
-
-    def integral(self, g: Array, ball: bool) -> float:
-        """As `DisturbanceQuadrature.integral`, of these gaps."""
-        d = self.step
-        both = np.matmul(self._rows, g[:, :, None]).reshape(self._shape)
-        p, curved = both[:, 0], both[:, 1]
-        size = np.linalg.norm(g, axis=1)[:, None]
-        steep = np.where(size > 0, self.third * size, 0.0)  # the bound may be infinite
-        if ball:
-            value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
-        else:
-            value, curve = np.abs(p).sum(axis=2), np.abs(curved).sum(axis=2)
-            steep = steep * np.sqrt(p.shape[2])
-        sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
-        return float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
+            for at, rows, (count, _, panels, _, q), third, d in self._groups:
+                p, curved = np.moveaxis(np.matmul(rows, g[at][:, :, None]).reshape(count, 2, panels, q), 1, 0)
+                size = np.linalg.norm(g[at], axis=1)[:, None]
+                steep = np.where(size > 0, third * size, 0.0)  # the bound may be infinite
+                if ball:
+                    value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
+                else:
+                    value, curve, steep = np.abs(p).sum(axis=2), np.abs(curved).sum(axis=2), steep * np.sqrt(q)
+                sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
+                total += float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
+        return total if np.isfinite(total) else np.inf

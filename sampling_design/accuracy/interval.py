@@ -15,7 +15,7 @@ from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
-from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
+from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, read_record
 from sampling_design.accuracy.undetectable import modes_with, unobservable_modes
 from sampling_design.accuracy.witness import KEPT
@@ -462,7 +462,7 @@ def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | 
         ends.append(program.solve(t, row))
         if program.infeasible and program.contradicted:  # of data that contradict the bounds nothing else is asked
             break
-    if program.infeasible or any(_crossed(up, down) for up, down in ends):
+    if program.infeasible or any(up.value + down.value < -DISPROVED * (up.width + down.width) for up, down in ends):
         found = disprove(program)
         if found is not None:
             nothing = freeze(np.full(len(rows), np.nan))
@@ -483,10 +483,6 @@ def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | 
         lower, upper = np.fmax(lower, outer[:, 0]), np.fmin(upper, outer[:, 1])
     gains = freeze(np.array([(up.gains, down.gains) for up, down in ends]))
     return Interval(readings, t, rows, freeze(lower), freeze(upper), gains, program.table.D, outer)
-
-
-def _crossed(up: RowEnd, down: RowEnd) -> bool:
-    return up.value + down.value < -DISPROVED * (up.width + down.width)
 
 
 def disprove(program: RecordProgram) -> Disproof | None:

@@ -299,13 +299,13 @@ def _adversary_in_gap(
         search.deep *= 2
     choices = []
     for k, opened in found.opened.items():
-        for row_adversary in search.adversaries[k]:
-            values = np.abs(opened.mu @ row_adversary.end) + opened.below
+        for adversary in search.adversaries[k]:
+            values = np.abs(opened.mu @ adversary.end) + opened.below
             place = 0 if allowed is None else int(np.argmax(values))
-            choices.append((float(values[place]), place, row_adversary))
-    _, place, row_adversary = max(choices, key=lambda choice: choice[0])
-    trajectory = physical(row, found.opened[row_adversary.sample], row_adversary, place)
-    witness = LimitWitness(replace(trajectory, last=0), float(question.nodes[row_adversary.sample]))
+            choices.append((float(values[place]), place, adversary))
+    _, place, adversary = max(choices, key=lambda choice: choice[0])
+    trajectory = physical(row, found.opened[adversary.sample], adversary, place)
+    witness = LimitWitness(replace(trajectory, last=0), float(question.nodes[adversary.sample]))
     value, excess = _kept(witness, question.bounds, allowed, period)
     if not value > 0 or not np.isfinite(excess):
         return LimitWitness(None, 0.0), np.inf if value > 0 else 1.0

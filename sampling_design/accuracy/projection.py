@@ -213,8 +213,8 @@ def _reached(search: GainSearch, node: int, row: Array, d: float, question: Accu
     if not np.isfinite(search.directions[node].rest(mu[None], mu[None])[0]):
         return np.inf, np.zeros(system.D.size)
     best = min(search.both_sides(node, mu)[0].value, search.gains(node, mu).value)
-    row_adversary = search.adversaries[node][-1]
-    witness = physical(row, opened, row_adversary, opened.d.size - 1 if d else 0)
+    adversary = search.adversaries[node][-1]
+    witness = physical(row, opened, adversary, opened.d.size - 1 if d else 0)
     _, excess = attains(witness, question.bounds, question.initial)
     _, x, _ = witness.simulate()
     return best + float(opened.above[-1]), x / max(excess, 1.0) if np.isfinite(excess) else np.zeros(system.D.size)
@@ -248,7 +248,7 @@ def _area(corners: Array) -> float:
 
 
 def _ellipse(system: SampledSystem, question: AccuracyQuestion, node: int, d: float, rows: Array) -> Array:
-    """Shadow of the best ellipsoid with one discount and one share for every sample."""
+    """Projection of the best ellipsoid with one discount and one share for every sample."""
     best, least = np.full((2, 2), np.inf), np.inf
     lengths = np.diff(question.nodes, append=question.end)
     mean = float(np.mean(lengths[lengths > 0])) if np.any(lengths > 0) else 1.0

@@ -70,7 +70,7 @@ class AccuracyQuestion:
         """
         v_bound, comes_later = terms_of_sensors(plant, v_bound)
         delays = np.zeros(plant.n_outputs) if comes_later is None else comes_later
-        if isinstance(schedule, PeriodicSchedule):
+        if schedule.endless:
             given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
             if given:
                 raise ArgumentError(

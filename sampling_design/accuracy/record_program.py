@@ -301,7 +301,7 @@ class RecordProgram:
         e, errors = np.zeros(len(c)), np.zeros_like(begun)
         for k in range(len(begun) - 1, 0, -1):
             errors[k] = e
-            e = self._offset(k, open_[k], e)
+            e = np.asarray(self._through[k - 1].dot(e) + open_[k].dot(self.F[k - 1]))  # one time earlier
         errors[0] = e
         return self._left_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
 
@@ -363,10 +363,6 @@ class RecordProgram:
             return False
         begun = self._begun(c)
         return self._free.closes(gains, begun, rest) and not self._free.hides(begun)
-
-    def _offset(self, k: int, open_: Array, e: Array) -> Array:
-        """The costates' difference one time earlier."""
-        return np.asarray(self._through[k - 1].dot(e) + open_.dot(self.F[k - 1]))
 
     @cached_property
     def _through(self) -> Array:

@@ -6,7 +6,7 @@ then the quick ones: a branch of the system, whose nodes are samples again witho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, overload
 
@@ -95,7 +95,8 @@ class NodeBounds(Sequence[BoundedDirections]):
         if system.start is None:
             r = system.determined
             basis, reach = np.eye(system.D.size)[:, :r], self[path[0]].reach
-            cost, g, _, _ = followed_back(system, path, basis, _filter_of(system, path))
+            gains = [system.samples[node].K.T for node in path]
+            cost, g, _, _ = followed_back(system, path, basis, lambda k, rest: gains[k] @ rest)
             return BoundedDirections(basis, (cost + reach @ np.abs(g[:r])) * (1 + 1e-11))
         path = system.nodes(node, len(system))
         basis = determined_at(system, path)
@@ -114,11 +115,6 @@ def with_branches(system: SampledSystem, directions: list[BoundedDirections]) ->
     found = NodeBounds(system, directions)
     free = system.start is not None and system.start.free(system.D.size).shape[1]
     return found[:] if free else found
-
-
-def _filter_of(system: SampledSystem, path: list[int]) -> Callable[[int, Array], Array]:
-    """The filter's gains at the nodes of a path."""
-    return lambda k, rest: system.samples[path[k]].K.T @ rest
 
 
 def _without(sample: MeasurementModel, arrived: Mask) -> MeasurementModel:

@@ -192,7 +192,7 @@ class BallSystem:
         """Bounds on rho of directions by the fits of floats, whose rests are balls."""
         fit = directions.fit(np.array([[float(x) for x in mu] for mu in mus]))
         found = []
-        for mu, places, shares in zip(mus, fit.place, fit.share, strict=True):
+        for mu, places, shares in zip(mus, *fit, strict=True):
             total, left = ball(0.0), mu
             for place, share in zip(places, shares, strict=True):
                 if share:

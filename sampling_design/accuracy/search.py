@@ -28,8 +28,8 @@ SHARE = 0.75
 PROFILE = 1.05  # ratio of the two bounds at which a gap's profile counts as known
 FILLED = 24  # offsets solved for the profile of one row, though two for each gap at least
 
-ATTACKS = (8, 32)
-"""Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
+ADVERSARIES = (8, 32)
+"""Those sought for the profile of one row, where one of them is a large program and where it is a small one."""
 
 ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
 SMALL = 5000  # cells times entries of w in a small program
@@ -42,21 +42,6 @@ NEGLIGIBLE = 1e-4
 """A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if
 adversaries attain less than so much of that again: what nothing drives and what decays is known exactly in the end, no
 relative tolerance closes the bracket of a 0, and a solver leaves its last digits."""
-
-
-@dataclass(frozen=True, eq=False)
-class RowAdversary:
-    """An adversary against some row after sample j; its last state serves against every other row, too."""
-
-    sample: int
-    adversary: Adversary
-    system: SampledSystem
-    """With the cells on which its w is constant."""
-
-    @property
-    def end(self) -> Array:
-        """z at the sample."""
-        return np.asarray(self.adversary.z[-1])
 
 
 @dataclass(eq=False)
@@ -109,7 +94,7 @@ class GainSearch:
         self._enough: set[int] = set()
         """Depths that twice as many samples did not improve on."""
         self.directions = directions
-        self.adversaries: list[list[RowAdversary]] = [[] for _ in range(len(system.samples))]
+        self.adversaries: list[list[Adversary]] = [[] for _ in range(len(system.samples))]
         self._long = system.start is None and system.memory > LASTING and boxed(system, list(range(len(system))))
         if self._long:
             self.deep, self.back = system.memory, system.memory // 2
@@ -118,9 +103,9 @@ class GainSearch:
     def _coarse(self) -> SampledSystem:
         return self.system.refined(COARSE)
 
-    def idle(self, j: int) -> RowAdversary:
+    def idle(self, j: int) -> Adversary:
         """An adversary that does nothing up to sample j."""
-        return RowAdversary(j, Adversary(0.0, (), np.zeros((1, self.system.D.size))), self.system)
+        return Adversary(0.0, (), np.zeros((1, self.system.D.size)), j, self.system)
 
     def offset(self, found: RowSearch, j: int, place: int) -> float:
         """What the estimate of a row at an offset adds since bounds are not centred at 0."""
@@ -185,7 +170,7 @@ class GainSearch:
             gains, adversary = self.window(j, self.deep, False, rough).both(mu)
         if not from_rest:
             adversary = max(adversary, self._for_ever(j, mu), key=lambda one: one.value)
-        self._keep(j, adversary, self._coarse if rough else self.system)
+        self._keep(j, adversary)
         gains = self.evaluate(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
         self.directions[j].add(mu, gains)
         return gains, adversary
@@ -196,16 +181,16 @@ class GainSearch:
         assert free_responses is not None
         x = free_responses.strongest(np.linalg.solve(system.L[j].T, mu) / system.D)
         z = np.linalg.solve(system.L[j], x / max(1.0, free_responses.excess(x)) / system.D)
-        return Adversary(float(mu @ z), (), z[None])
+        return Adversary(float(mu @ z), (), z[None], j, self.system)
 
-    def _keep(self, j: int, adversary: Adversary, system: SampledSystem) -> None:
-        """Keep a row_adversary, and what it is at the samples of the last period on its way."""
+    def _keep(self, j: int, adversary: Adversary) -> None:
+        """Keep an adversary, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
         rests = self.system.start is None and not adversary.z[0].any()
         nodes = self.system.latest(j, count)
         for k in range(max(int(rests), count - len(self.system)), count):
-            part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
-            self.adversaries[nodes[k]].append(RowAdversary(nodes[k], part, system))
+            part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1], nodes[k], adversary.system)
+            self.adversaries[nodes[k]].append(part)
 
     def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
         """What any gains prove of mu'z_j; no solver."""
@@ -274,7 +259,7 @@ class GainSearch:
     def attained(self, found: RowSearch, j: int) -> Array:
         """What adversaries attain against a row at the offsets of gap j."""
         opened = found.opened[j]
-        ends = np.array([row_adversary.end for row_adversary in self.adversaries[j]]).reshape(-1, self.system.D.size)
+        ends = np.array([adversary.end for adversary in self.adversaries[j]]).reshape(-1, self.system.D.size)
         return np.asarray(opened.below + np.max(np.abs(ends @ opened.mu.T), axis=0, initial=0.0))
 
     def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
@@ -368,7 +353,7 @@ class GainSearch:
         found.lower = max(found.lower, self._reached(found, j))
 
     def _both_sides_at(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
-        """Strike at an offset; what is attained there, and what gains prove there now."""
+        """Seek an adversary at an offset; what is attained there, and what gains prove there now."""
         self.both_sides(j, found.opened[j].mu[offset], rough)
         found.tried.add((j, offset))
         found.solved[j].setdefault(offset, self.back)
@@ -402,7 +387,7 @@ class GainSearch:
         small = (
             self.deep * float(np.mean([g.cells.shape[0] * g.cells.shape[2] for g in self._coarse.gaps] or [0])) < SMALL
         )
-        for _ in range(ATTACKS[small]):
+        for _ in range(ADVERSARIES[small]):
             ratio, j, offset = max((r, j, o) for j in gaps for r, o in [self._apart(found, j)])
             if ratio <= PROFILE or self.budget.over:
                 break
@@ -448,8 +433,8 @@ class GainSearch:
 
 def combined_gains(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> tuple[Array, ...]:
     """Return gains for mu'z_j put together from those of the nearest directions, the latest sample last."""
-    fit = directions.fit(mu[None])
-    parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
+    place, share = directions.fit(mu[None])
+    parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(place[0], share[0], strict=True)]
     empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]
     both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
     return tuple(a + b for a, b in zip(*both, strict=True))

@@ -22,11 +22,10 @@ from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, make_gap
-from sampling_design.accuracy.search import TOLERANCE, GainSearch, RowAdversary, RowSearch
+from sampling_design.accuracy.search import TOLERANCE, GainSearch, RowSearch
 from sampling_design.accuracy.start import ErrorReach
 from sampling_design.accuracy.undetectable import DetectablePart
-from sampling_design.accuracy.witness import KEPT, AccuracyWitness, physical
-from sampling_design.accuracy.worst_witness import admissible
+from sampling_design.accuracy.witness import KEPT, AccuracyWitness, admissible, physical
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array
@@ -200,7 +199,7 @@ def moved_witness(
         nodes = system.nodes(at, count)
         start = ErrorReach(np.zeros(system.D.size)) if system.start is None or nodes[0] else system.start
         gains, adversary = ConeWindow(system, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
-        witness = physical(found.row, opened, RowAdversary(at, adversary, system), opened.d.size - 1)
+        witness = physical(found.row, opened, adversary, opened.d.size - 1)
         witness = admissible(witness, moved)
         if best is not None and witness.value <= best.value * (1 + KEPT):
             break

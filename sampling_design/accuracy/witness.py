@@ -8,16 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.accuracy.adversary_program import Adversary
 from sampling_design.accuracy.between_samples import RowBetweenSamples
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.free_responses import FreeResponses
-from sampling_design.accuracy.search import RowAdversary
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.start import InitialSet
+from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, Record, short
 
 KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is simulated anew
@@ -152,16 +156,8 @@ class AccuracyWitness(Record):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return {
-            "row": self.row.tolist(),
-            "edges": self.edges.tolist(),
-            "w": self.w.tolist(),
-            "samples": self.samples.tolist(),
-            "last": self.last,
-            "states": self.states.tolist(),
-            "outputs": self.outputs.astype(int).tolist(),
-            "value": self.value,
-        }
+        outputs = self.outputs.astype(int).tolist()
+        return {**selected(self, "row edges w samples last states value"), "outputs": outputs}
 
 
 def _over_gaps(flows: Array) -> tuple[Array, Array]:
@@ -226,15 +222,15 @@ def _excess(size: Array, limit: Array) -> float:
     return float(np.max(ratio, initial=0.0))
 
 
-def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary, offset: int) -> AccuracyWitness:
-    """Return a row_adversary with its best end after the last sample, in the plant's units."""
-    system, count = row_adversary.system, len(row_adversary.adversary.w) + 1
-    reached = float(opened.mu[offset] @ row_adversary.end)
+def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset: int) -> AccuracyWitness:
+    """Return an adversary with its best end after the last sample, in the plant's units."""
+    system, count = adversary.system, len(adversary.w) + 1
+    reached = float(opened.mu[offset] @ adversary.end)
     sign = -1.0 if reached < 0 else 1.0
-    nodes = system.latest(row_adversary.sample, count)
+    nodes = system.latest(adversary.sample, count)
     scale = system.bounds.w
     edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
-    for j, u in zip(nodes[:-1], row_adversary.adversary.w, strict=True):
+    for j, u in zip(nodes[:-1], adversary.w, strict=True):
         gap = system.gap(j)
         edges.append(now + (gap.length - gap.edges[::-1])[1:])
         w.append(sign * u[::-1] * scale)
@@ -262,11 +258,54 @@ def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary,
         edges=freeze(np.concatenate(edges)),
         w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
         samples=freeze(samples),
-        last=system.sample_of(row_adversary.sample),
-        states=freeze(
-            sign
-            * np.array([system.D * (system.L[j] @ z) for j, z in zip(nodes, row_adversary.adversary.z, strict=True)])
-        ),
+        last=system.sample_of(adversary.sample),
+        states=freeze(sign * np.array([system.D * (system.L[j] @ z) for j, z in zip(nodes, adversary.z, strict=True)])),
         outputs=measured[nodes],
         value=float(abs(reached) + opened.below[offset]),
     )
+
+
+def left_open(question: AccuracyQuestion, finder: GainSearch | None, upper: Array) -> tuple[str, ...]:
+    """Return the eigenvalues that the samples of a finite schedule leave open, if a wanted row is infinite."""
+    if finder is None or np.isfinite(upper).all():
+        return ()
+    system, last = finder.system, finder.system.spans[-1].node
+    basis = finder.directions[last].basis
+    free = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
+    return open_modes(question.plant.A, system.D[:, None] * system.L[last] @ free)
+
+
+def strongest_witness(
+    finder: GainSearch, row: Array, question: AccuracyQuestion, found: RowSearch
+) -> tuple[AccuracyWitness, int, int]:
+    """Return the strongest adversary as a witness, simulated anew and made admissible, its sample and its offset."""
+    best: tuple[AccuracyWitness, int, int] | None = None
+    adversaries = []
+    for j, opened in found.opened.items():
+        sure = np.isfinite(found.nodes[j])
+        if not sure.any():
+            continue
+        for adversary in finder.adversaries[j] or [finder.idle(j)]:
+            values = np.where(sure, np.abs(opened.mu @ adversary.end) + opened.below, -1.0)
+            adversaries.append((float(np.max(values)), int(np.argmax(values)), adversary))
+    top = (1 - KEPT) * max(value for value, *_ in adversaries)
+    for value, offset, adversary in sorted(
+        adversaries, key=lambda a: (-min(a[0], top), a[2].sample)
+    ):  # of equals the first
+        if best is not None and best[0].value >= (1 - KEPT) * value:
+            break
+        witness = admissible(physical(row, found.opened[adversary.sample], adversary, offset), question)
+        if best is None or witness.value > best[0].value * (1 + KEPT):
+            best = witness, adversary.sample, offset
+    assert best is not None
+    return best
+
+
+def admissible(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWitness:
+    """Return a witness simulated anew, its gaps closed, so small that it keeps the bounds of a question."""
+    if question.initial is None and witness.states[0].any():
+        witness = witness.propagated()  # rounding that no disturbance closes
+    closed = witness.simulate(question.bounds.w).w
+    witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
+    value, excess = attains(witness, question.bounds, question.initial)
+    return witness.within(excess, value)

@@ -284,12 +284,13 @@ class AccuracyOracle:
         within = {begin + round((length - begin) * i / QUARTERS) for i in range(1, QUARTERS)} if closely else set()
         found = dict[int, float]()
         for offset in [*dict.fromkeys(ends), *sorted(within - {*ends})]:
-            if known == -np.inf or self._at_most(window, offset, g) > known:
+            row, added = self._opened(offset, g)
+            if known == -np.inf or float(window.at_most(row[None])[0] + added) > known * goal.tolerance:
                 found[offset] = self.reach(window, offset, g)
         while closely and found and len(found) < OFFSETS and not (above < np.inf and max(found.values()) < FAR * above):
             rows = np.array([self._opened(offset, g)[0] for offset in range(begin, length + 1)])
-            added = np.array([more for _, more in self._open[g][begin : length + 1]])
-            attained = np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added
+            more = np.array([added for _, added in self._open[g][begin : length + 1]])
+            attained = np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + more
             farthest = begin + int(np.argmax(attained))
             if farthest in found or attained[farthest - begin] <= known * goal.tolerance:
                 break
@@ -350,11 +351,6 @@ class AccuracyOracle:
         row, added = self._opened(offset, g)
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
-
-    def _at_most(self, window: GridWindow, offset: int, g: int) -> float:
-        """A bound on the same, by what was solved in that window before."""
-        row, added = self._opened(offset, g)
-        return float(window.at_most(row[None])[0] + added) / self.problem.goals[g].tolerance
 
     def _trajectory(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
         """The strongest trajectory against a goal, so many steps after the last sample of a window."""

@@ -6,20 +6,19 @@ of all choices that keep these. A level is out of reach of a limit if what it co
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from sampling_design.planning.cost_proof import CostProof, CostTree
-from sampling_design.planning.covering import CoveringProgram, CoveringRows, Key, relaxed
+from sampling_design.planning.covering import CoveringRows, Key, relaxed
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
-from sampling_design.planning.work_prices import RELAXED
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 
-OPEN_ROW = 1e3  # price of a row left open, in units of the dearest variable's: what has no choice becomes this dear
 INTEGRAL = 1e-6  # an entry counts as 0 or 1 within this
 MOST_NODES = 200  # leaves of a proof, at most
 
@@ -39,37 +38,29 @@ ENDS = 6  # ends of one trajectory that are added at a time
 Finder: TypeAlias = Callable[[Array, float], None]
 
 
+def _views(covering: CoveringRows, pool: HiddenTrajectories, level: float) -> dict[int, Array]:
+    """What measurements add to each trajectory that reaches a level, by its place in the pool."""
+    every = enumerate(pool.trajectories)
+    return {a: covering.view(trajectory, level) for a, trajectory in every if trajectory.reach >= level}
+
+
 def separated(
     covering: CoveringRows, pool: HiddenTrajectories, level: float, keys: list[Key], work: Budget, below: float = np.inf
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
-    keys = [key for key in keys if pool.trajectories[key[0]].reach >= level]
-    views = {
-        a: covering.view(trajectory, level)
-        for a, trajectory in enumerate(pool.trajectories)
-        if trajectory.reach >= level
-    }
-    low, high = np.zeros(covering.columns), covering.ceiling(below)
-    price = OPEN_ROW * float(np.max(covering.cost, initial=1.0))
-    x = low
+    keys, views = [key for key in keys if pool.trajectories[key[0]].reach >= level], _views(covering, pool, level)
+    x, high = np.zeros(covering.columns), covering.ceiling(below)
     for _ in range(SEPARATIONS):
-        model = covering.model(pool.trajectories, keys, level)
-        x, _, _ = _relaxed(model, low, high, price, work)
+        program = covering.model(pool.trajectories, keys, level)
+        x, _, _ = relaxed(program, np.zeros(covering.columns), high, work)
         fresh = _violated(covering, pool, views, x, set(keys))
         if not fresh or work.over:
             break
         if len(keys) > MANY:  # rows that the point keeps easily may come back when one breaks them
-            frame = covering.frame[0].shape[0]
-            slack = (model.A @ x - model.b)[frame:]
+            slack = (program.A @ x - program.b)[covering.frame[0].shape[0] :]
             keys = [key for key, s in zip(keys, slack.tolist(), strict=True) if s <= EASY]
         keys += fresh[:MANY]
     return keys, x
-
-
-def _relaxed(model: CoveringProgram, low: Array, high: Array, price: float, work: Budget) -> tuple[Array, Array, float]:
-    """The relaxation, counted."""
-    work.add(RELAXED, model.A.nnz)
-    return relaxed(model, low, high, price)
 
 
 def _violated(
@@ -100,71 +91,90 @@ def _violated(
     return [key for _, key in sorted(fresh)]
 
 
-def prove_cost(
-    covering: CoveringRows,
-    pool: HiddenTrajectories,
-    level: float,
-    target: float,
-    work: Budget,
-    keys: list[Key] | None = None,
-    *,
-    find: Finder | None = None,
-    decide: bool = False,
-) -> CostProof:
-    """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes, and work, can.
+@dataclass(eq=False)
+class CostProver:
+    """Proves costs over a pool; `find` is asked for trajectories against a point that no row so far excludes."""
 
-    `find` is asked for trajectories against a point that the rows so far do not exclude. `decide`: nothing below the
-    target is of use, so that the proof ends with the first choice that costs less.
-    """
-    counted = _counted(covering, pool, level, target, work, find)
-    if counted is not None:
-        return counted
-    found, _ = separated(covering, pool, level, list(keys or []), work, target)
-    prover = _CostProver(covering, pool, level, target, found, work, find=find, decide=decide)
-    proof = prover.proof()
-    if decide or proof.value >= target or work.over:
-        return proof
-    half, keys = work.share(0.5), list(proof.keys)
-    closed = _CostProver(covering, pool, level, target, keys, half, find=find, decide=True, most=CLOSED_NODES)
-    return max(proof, closed.proof(), key=lambda each: each.value)
+    covering: CoveringRows
+    pool: HiddenTrajectories
+    work: Budget
+    find: Finder | None = None
+
+    def least_cost(
+        self, level: float, target: float, keys: Sequence[Key] = (), *, decide: bool = False, ask: bool = True
+    ) -> CostProof:
+        """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes, and work, can.
+
+        `decide`: nothing below the target is of use, so that the proof ends with the first choice that costs less.
+        Unless `ask`, nothing new joins the pool.
+        """
+        find = self.find if ask else None
+        counted = self._counted(level, target) if find is not None else None
+        if counted is not None:
+            return counted
+        found, _ = separated(self.covering, self.pool, level, list(keys), self.work, target)
+        proof = _ProofTree(self, level, target, found, self.work, find, decide, MOST_NODES).proof()
+        if decide or proof.value >= target or self.work.over:
+            return proof
+        half = self.work.share(0.5)
+        closed = _ProofTree(self, level, target, list(proof.keys), half, find, True, CLOSED_NODES).proof()
+        return max(proof, closed, key=lambda each: each.value)
+
+    def _counted(self, level: float, target: float) -> CostProof | None:
+        """The proof where nothing but the number of samples counts, or None."""
+        known = -1
+        while self.find is not None and len(self.pool.trajectories) > known and not self.work.over:
+            known = len(self.pool.trajectories)
+            found = smallest_hitting_set(self.covering, self.pool, level, target, self.work)
+            if found is None or found.chosen is None:
+                return None if found is None else found.proof
+            self.find(self.covering.point(found.chosen), level)
+        return None
+
+    def out_of_reach(
+        self, limit: float, known: float, high: float, width: float, keys: Sequence[Key]
+    ) -> CostProof | None:
+        """The proof with the highest level at which every choice costs more than `limit`; None without work for one.
+
+        `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice.
+        """
+        best: CostProof | None = None
+        more, low = limit + (self.covering.grain or 1e-6 * max(limit, 1.0)), 0.0
+        enough = more * (1 - 1e-9)
+        if known > 0:
+            best = self.least_cost(known, more, keys, decide=True)
+            if best.value >= enough:
+                return best
+            best, high = None, known
+        ratio, trajectory, end = self.pool.against(self.covering.problem.allowed)
+        if trajectory is not None:  # one that nothing shows proves its level alone
+            place = next(a for a, each in enumerate(self.pool.trajectories) if each is trajectory)
+            proof = self.least_cost(ratio * BELOW, more, [(place, end)], decide=True, ask=False)
+            best, low = (proof, proof.level) if proof.value >= enough else (None, 0.0)
+        while high > low * (1 + width) and high >= 1e-6 and not self.work.over:
+            level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
+            proof = self.least_cost(level, more, keys, decide=True)
+            keys = proof.keys
+            if proof.value >= enough:
+                best, low = proof, level
+            else:
+                high = level
+        return best
 
 
-def _counted(
-    covering: CoveringRows, pool: HiddenTrajectories, level: float, target: float, work: Budget, find: Finder | None
-) -> CostProof | None:
-    """The proof where nothing but the number of samples counts, or None."""
-    known = -1
-    while find is not None and len(pool.trajectories) > known and not work.over:
-        known, found = len(pool.trajectories), smallest_hitting_set(covering, pool, level, target, work)
-        if found is None or found.chosen is None:
-            return None if found is None else found.proof
-        find(covering.point(found.chosen), level)
-    return None
-
-
-class _CostProver:
+class _ProofTree:
     """Branches and adds rows until every leaf proves the target, or there are no nodes left."""
 
     def __init__(
-        self,
-        covering: CoveringRows,
-        pool: HiddenTrajectories,
-        level: float,
-        target: float,
-        keys: list[Key],
-        work: Budget,
-        *,
-        find: Finder | None,
-        decide: bool,
-        most: int = MOST_NODES,
-    ):
-        self.covering, self.pool, self.level, self.target, self.work = covering, pool, level, target, work
-        self.keys, self.find, self.decide = keys, find, decide
-        dense = all(trajectory.response is None for trajectory in pool.trajectories)
+        self, prover: CostProver, level: float, target: float, keys: list[Key], work: Budget,
+        find: Finder | None, decide: bool, most: int,
+    ):  # fmt: skip
+        self.covering, self.pool, self.level, self.target = prover.covering, prover.pool, level, target
+        self.keys, self.work, self.find, self.decide = keys, work, find, decide
+        dense = all(trajectory.response is None for trajectory in self.pool.trajectories)
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] if find is not None else 0
-        self.model = covering.model(pool.trajectories, keys, level)
-        self.price = OPEN_ROW * float(np.max(covering.cost, initial=1.0))
+        self.program = self.covering.model(self.pool.trajectories, keys, level)
 
     def proof(self) -> CostProof:
         """The proof from the root."""
@@ -174,12 +184,12 @@ class _CostProver:
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
         """The tree below a node and what it proves; nodes are shared out evenly."""
         self.left -= 1
-        x, y, value = _relaxed(self.model, low, high, self.price, self.work)
+        x, y, value = relaxed(self.program, low, high, self.work)
         for _ in range(min(CUTS[0], self.cuts)):
             if self.work.over or self.covering.lifted(value) >= self.target or not self._cut(x):
                 break
             before = value
-            x, y, value = _relaxed(self.model, low, high, self.price, self.work)
+            x, y, value = relaxed(self.program, low, high, self.work)
             if value <= before + FLAT * abs(before) and np.minimum(x, 1 - x).max(initial=0.0) > INTEGRAL:
                 break
         rows = np.flatnonzero(y)
@@ -210,56 +220,10 @@ class _CostProver:
         for ask in (False, True):
             if ask:
                 self.find(x, self.level)
-            views = {
-                a: self.covering.view(t, self.level)
-                for a, t in enumerate(self.pool.trajectories)
-                if t.reach >= self.level
-            }
+            views = _views(self.covering, self.pool, self.level)
             fresh = _violated(self.covering, self.pool, views, x, set(self.keys))[:ADDED]
             if fresh:
                 self.keys += fresh
-                self.model = self.covering.longer(self.model, self.pool.trajectories, fresh, self.level)
+                self.program = self.covering.longer(self.program, self.pool.trajectories, fresh, self.level)
                 return True
         return False
-
-
-def out_of_reach(
-    covering: CoveringRows,
-    pool: HiddenTrajectories,
-    limit: float,
-    known: float,
-    high: float,
-    width: float,
-    *,
-    keys: list[Key],
-    work: Budget,
-    find: Finder | None = None,
-) -> CostProof | None:
-    """The proof with the highest level at which every choice costs more than `limit`; None if there is no work for one.
-
-    `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice.
-    """
-    best: CostProof | None = None
-    more = limit + (covering.grain or 1e-6 * max(limit, 1.0))
-    low = 0.0
-    if known > 0:
-        best = prove_cost(covering, pool, known, more, work, keys, find=find, decide=True)
-        if best.value >= more * (1 - 1e-9):
-            return best
-        best, high = None, known
-    ratio, trajectory, end = pool.against(covering.problem.allowed)
-    if trajectory is not None:  # a trajectory that nothing shows proves its level alone
-        place = next(a for a, each in enumerate(pool.trajectories) if each is trajectory)
-        proof = prove_cost(covering, pool, ratio * BELOW, more, work, [(place, end)], decide=True)
-        best, low = (proof, proof.level) if proof.value >= more * (1 - 1e-9) else (None, 0.0)
-    while high > low * (1 + width) and not work.over:
-        level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
-        proof = prove_cost(covering, pool, level, more, work, keys, find=find, decide=True)
-        keys = list(proof.keys)
-        if proof.value >= more * (1 - 1e-9):
-            best, low = proof, level
-        else:
-            high = level
-        if high < 1e-6:
-            break
-    return best

@@ -30,7 +30,9 @@ def coarser(problem: PlanProblem) -> PlanProblem | None:
     if requirement.calendar is not None:
         seconds = problem.step * SECONDS[problem.plant.time_unit]
         whole = (SECONDS["h"] if seconds < SECONDS["h"] * (1 - WHOLE) else SECONDS["d"]) / seconds
-    parts = [k for k in range(2, problem.steps) if problem.steps % k == 0 and _divides(k, whole)]
+    parts = [k for k in range(2, problem.steps) if problem.steps % k == 0]
+    if np.isfinite(whole):
+        parts = [k for k in parts if abs(whole / k - round(whole / k)) <= WHOLE]
     if problem.steps <= COARSE or not parts:
         return None
     step = problem.step * next((k for k in parts if k > 2), 2)
@@ -39,11 +41,6 @@ def coarser(problem: PlanProblem) -> PlanProblem | None:
         return pose_plan(problem.plant, requirement.replace(grid=step * time_factor(problem.plant.time_unit, unit)))
     except (ArgumentError, InfeasibleRequirementError):  # times that a goal asks for, or hours, fall between its steps
         return None
-
-
-def _divides(k: int, whole: float) -> bool:
-    """Whether a number of steps divides another one, which need not be whole."""
-    return not np.isfinite(whole) or abs(whole / k - round(whole / k)) <= WHOLE
 
 
 def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:

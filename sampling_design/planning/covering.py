@@ -18,7 +18,7 @@ from scipy import sparse
 
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work_prices import COVER, NODE
+from sampling_design.planning.work_prices import COVER, NODE, RELAXED
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 
@@ -31,6 +31,7 @@ ENTRIES, FEWEST = 4_000_000, 40
 
 ROUNDING = 1e-9  # relative allowance for rounding in what multipliers prove
 NEAR = 5e-4  # a choice is cheap enough within this share; how many trajectories it sees decides no finer
+OPEN_ROW = 1e3  # price of a row left open, in units of the dearest variable's: what has no choice becomes this dear
 GRAIN = 1e-6  # costs are whole multiples of a grain within this share of it
 
 
@@ -277,11 +278,12 @@ def cheapest(
     return covering.choice(found.x), False
 
 
-def relaxed(model: CoveringProgram, low: Array, high: Array, price: float) -> tuple[Array, Array, float]:
+def relaxed(model: CoveringProgram, low: Array, high: Array, work: Budget) -> tuple[Array, Array, float]:
     """Solve the relaxation where a row may be left open at a price; return x, multipliers, and what these prove."""
     from scipy.optimize import linprog
 
-    m, k = model.A.shape
+    work.add(RELAXED, model.A.nnz)
+    (m, k), price = model.A.shape, OPEN_ROW * float(np.max(model.c, initial=1.0))
     A = sparse.hstack([model.A, sparse.identity(m)], format="csr")
     bounds = np.vstack([np.column_stack([low, high]), np.column_stack([np.zeros(m), np.full(m, np.inf)])])
     cost = np.concatenate([model.c, np.full(m, price)])

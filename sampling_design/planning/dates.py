@@ -190,18 +190,6 @@ def plan_dates(plan: PlanFigures, periods: int = 1, *, prove: bool = True) -> Pl
     return run.dates()
 
 
-@dataclass(frozen=True, eq=False)
-class _ClosedDays:
-    """Samples that cannot be taken, one after another: clock times, and why."""
-
-    times: Array
-    why: str
-
-    def in_words(self, added: int) -> str:
-        """In words."""
-        return f"{self.why}, {len(self.times)} left out" + (f", {added} added" if added else "")
-
-
 class _DatedPlan:
     """Dates of one plan: what is left out, what is added, and what is proven of the whole; times of the clock."""
 
@@ -222,7 +210,10 @@ class _DatedPlan:
             plan.problem, self.clock.elapsed(self.times[self.open]), self.measured[self.open]
         )
         self.open &= ~self.soon
-        self.closed = [self._closed(run) for run in _runs(~self.open)]
+        runs = _runs(~self.open)
+        self.closed = [self.times[run] for run in runs]
+        """Clock times of samples one after another that cannot be taken, and why."""
+        self.why = [self._why(run) for run in runs]
         self.day = 1440 / self.clock.minutes
 
     def dates(self) -> PlanDates:
@@ -239,12 +230,12 @@ class _DatedPlan:
         """Whether a clock time is no holiday, and one that the clocks show."""
         return self.calendar.is_open(t * self.clock.minutes, holidays=True)
 
-    def _closed(self, run: Index) -> _ClosedDays:
-        times = self.times[run]
+    def _why(self, run: Index) -> str:
+        """Why samples one after another cannot be taken."""
         if self.soon[run].all():
-            return _ClosedDays(times, "too soon after the sample before by the changed clocks")
-        skipped = all(self.calendar.is_skipped(round(t * self.clock.minutes, 6)) for t in times.tolist())
-        return _ClosedDays(times, "skipped by the clocks" if skipped else "closed")
+            return "too soon after the sample before by the changed clocks"
+        minutes = np.round(self.times[run] * self.clock.minutes, 6).tolist()
+        return "skipped by the clocks" if all(map(self.calendar.is_skipped, minutes)) else "closed"
 
     def sequence(self, added: list[DatedSample], start: float = -np.inf, stop: float = np.inf) -> SampleSequence:
         """The samples that are taken in [start, stop), at real times."""
@@ -279,14 +270,14 @@ class _DatedPlan:
         far = AROUND * self.day
         for one in found:  # what a later one makes needless
             others = [other for other in found if other is not one]
-            near = [closed for closed in self.closed if abs(np.clip(one[0], *closed.times[[0, -1]]) - one[0]) <= far]
+            near = [closed for closed in self.closed if abs(np.clip(one[0], *closed[[0, -1]]) - one[0]) <= far]
             if all(self.above(closed, others, level) <= self.above(closed, found, level) for closed in near):
                 found = others
         return found
 
-    def above(self, closed: _ClosedDays, added: list[DatedSample], level: float) -> float:
+    def above(self, closed: Array, added: list[DatedSample], level: float) -> float:
         """How far accuracies are above a share of their tolerances around samples that are left out, over time."""
-        since, until = (float(t) for t in closed.times[[0, -1]])
+        since, until = (float(t) for t in closed[[0, -1]])
         since, until = since - AROUND * self.day, until + self.shows
         near = [one for one in added if since - self.span <= one[0] < until + self.span]
         sequence = self.sequence(near, since - self.span, until + self.span)
@@ -295,10 +286,10 @@ class _DatedPlan:
         length = np.diff(sequence.times)
         return float(sum(length[k] * max(ratio - level, 0.0) for k, ratio in ratios.items()))
 
-    def options(self, closed: _ClosedDays, added: list[DatedSample]) -> list[DatedSample]:
+    def options(self, closed: Array, added: list[DatedSample]) -> list[DatedSample]:
         """Open times near samples that are left out, spread out and spaced, with every sensor of the plan."""
         problem, step = self.plan.problem, self.plan.problem.step
-        first, last = float(closed.times[0]) - AROUND * self.day, float(closed.times[-1]) + AROUND * self.day
+        first, last = float(closed[0]) - AROUND * self.day, float(closed[-1]) + AROUND * self.day
         taken = self.sequence(added)
         found = []
         for i in range(max(0, int(first / step)), int(min(last, self.known) / step) + 1):
@@ -345,8 +336,11 @@ class _DatedPlan:
         """Clock times of what is not as the period says, in order, and what it is."""
         shares = [0] * len(self.closed)
         for t, _ in added:
-            shares[int(np.argmin([np.abs(closed.times - t).min() for closed in self.closed]))] += 1
-        found = [(float(c.times[0]), c.in_words(n)) for c, n in zip(self.closed, shares, strict=True)]
+            shares[int(np.argmin([np.abs(closed - t).min() for closed in self.closed]))] += 1
+        found = [
+            (float(closed[0]), f"{why}, {closed.size} left out" + (f", {n} added" if n else ""))
+            for closed, why, n in zip(self.closed, self.why, shares, strict=True)
+        ]
         hours = np.arange(0.0, float(self.clock.elapsed(self.known)) * self.clock.minutes, 60.0) / self.clock.minutes
         local = self.clock.clock_time(hours)
         jumps = np.diff(local - hours)

@@ -22,7 +22,7 @@ from sampling_design.records.units import spoken
 CELLS = 6  # cells of constant disturbance in a gap, unless it holds several turns of an oscillation
 
 TURN = np.pi / 4
-"""Radians of the quickest oscillation in a cell, at most: a disturbance pushes on only if it turns with it."""
+"""Radians of the quickest oscillation in a cell, at most: a disturbance drives it on only if it turns with it."""
 
 GOLDEN = (np.sqrt(5.0) - 1) / 2  # section of a search on one variable
 SPREAD = (7, 24)  # samples of the schedule that chooses the coordinates, at least and at most

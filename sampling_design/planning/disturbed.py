@@ -64,34 +64,20 @@ def robustness_holds(plan: PlanFigures, found: PlanRobustness) -> bool:
 
 def delayed(plan: PlanFigures, k: int, late: float) -> SampleSequence:
     """The plan with sample k so late (before the next one)."""
-    before, after = _around(plan, k, 1)
     t, mask = float(plan.schedule.times[k]) + late, plan.chosen[plan.chosen.any(axis=1)][k]
-    times = np.concatenate([before[0], [t], after[0]])
-    measured = np.concatenate([before[1], mask[None], after[1]])
-    return _sequence(plan, times, measured, before[0].size)
+    return without(plan, k, 1, (np.array([t]), mask[None]))
 
 
-def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
-    """The plan without so many samples from sample k on."""
-    before, after = _around(plan, k, count)
-    times = np.concatenate([before[0], after[0]])
-    measured = np.concatenate([before[1], after[1]])
-    return _sequence(plan, times, measured, before[0].size)
-
-
-def _sequence(plan: PlanFigures, times: Array, measured: Mask, first: int) -> SampleSequence:
-    problem = plan.problem
-    return SampleSequence(times, measured, first, late=problem.timing_tolerance, result_delay=problem.result_delay)
-
-
-def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:
-    """The plan's samples before sample k, and those after so many from it on."""
-    schedule, N = plan.schedule, plan.samples
-    tiny = 1e-6 * plan.problem.step
-    span = settling_time(plan)
+def without(plan: PlanFigures, k: int, count: int, instead: tuple[Array, Mask] | None = None) -> SampleSequence:
+    """The plan without so many samples from sample k on, with others in their place."""
+    schedule, N, problem = plan.schedule, plan.samples, plan.problem
+    tiny, span = 1e-6 * problem.step, settling_time(plan)
     first = float(schedule.times[k])
     back = float(schedule.times[(k + count) % N]) + (k + count) // N * schedule.period
-    return planned(plan, first - span, first - tiny), planned(plan, back - tiny, back + span)
+    before, after = planned(plan, first - span, first - tiny), planned(plan, back - tiny, back + span)
+    times, measured = map(np.concatenate, zip(before, *([instead] if instead else []), after, strict=True))
+    late, delay = problem.timing_tolerance, problem.result_delay
+    return SampleSequence(times, measured, before[0].size, late=late, result_delay=delay)
 
 
 def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:

@@ -43,7 +43,6 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.file_io import from_json, read_text, usable
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import schedule_from_dict
-from sampling_design.schedules.schedule import PeriodicSchedule
 
 SAME = 1e-3  # figures in a file may differ from those worked out anew by this share: solvers of other machines
 MOST_TREE = 10_000  # nodes of a tree of proofs that a file may hold: more takes minutes to check
@@ -115,7 +114,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
         plant = plant_from_dict(tree["plant"], f"{where}: plant")
         requirement = plan_requirement_from_dict(tree["requirement"], f"{where}: requirement")
         schedule = schedule_from_dict(tree["schedule"])
-        if not isinstance(schedule, PeriodicSchedule):
+        if not schedule.endless:
             raise refuse("schedule", "must be periodic")
         problem = pose_plan(plant, requirement)
         chosen = problem.chosen(schedule)

@@ -19,19 +19,26 @@ from sampling_design.errors import (
     UndecidedError,
 )
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.bounds import out_of_reach, prove_cost
+from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.coarser_grid import coarser, lifted_choices, lifted_trajectories
 from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import discretize, finer_grid, modes_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
-from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice, tighter_margins
-from sampling_design.planning.first_choices import densest, sparse
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, limit_of, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
-from sampling_design.planning.proven_choice import plan_of, ratios_of
+from sampling_design.planning.proven_choice import (
+    FeasibleChoices,
+    GoalProofs,
+    ProvenChoice,
+    densest,
+    plan_of,
+    ratios_of,
+    sparse,
+    tighter_margins,
+)
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.search_progress import AFTERWARDS, PlanProgress
@@ -185,16 +192,13 @@ def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | N
 class _Planning:
     """One call: the search, its proof, and its bounds."""
 
-    def __init__(
-        self, problem: PlanProblem, work: float, progress: Progress | PlanProgress | None, first: float = COARSER
-    ):
-        self.problem, self.first = problem, first
+    def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, finer: _Planning | None = None):
+        self.problem, self.first = problem, COARSER if finer is None else 1.0
         self.discrete = discretize(problem)
         self.oracle = AccuracyOracle(problem, self.discrete)
         self.oracle.work.seconds = self.oracle.work.limit = work
-        if not isinstance(progress, PlanProgress):
-            progress = PlanProgress(progress, problem, self.oracle.work)
-        self.progress = progress
+        own = PlanProgress(progress, problem, self.oracle.work)
+        self.progress: PlanProgress = own if finer is None else finer.progress
         self.search = PlanSearch(problem, self.oracle, self.progress)
         self.kept = False
         """Whether the densest choice was judged to keep every tolerance."""
@@ -212,7 +216,7 @@ class _Planning:
         if coarse is None:
             return []
         try:
-            run = _Planning(coarse, self.first * work.seconds, self.progress, 1.0)
+            run = _Planning(coarse, self.first * work.seconds, None, self)
         except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
             return []
         try:
@@ -275,15 +279,14 @@ class _Planning:
         frame = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.extend(*AFTER[0])
-        self.least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
+        prover = CostProver(frame, search.pool, self.oracle.work, search.find)
+        self.least = prover.least_cost(1 / EASED**2, cost)
         self.progress.bounded(self.least.value)
         rival = self._better(best, cost)
         best = self.feasible.sharpest(rival.incumbents, best)
         known, keys = rival.out_of_reach, rival.keys
         self.oracle.work.extend(*AFTER[1])
-        ratio = out_of_reach(
-            frame, search.pool, cost, known, best.worst, WIDTH, keys=keys, work=self.oracle.work, find=search.find
-        )
+        ratio = prover.out_of_reach(cost, known, best.worst, WIDTH, keys)
         return self._record(best, gathered(search.pool, ratio, self.least), sure)
 
     def interrupted(self) -> Plan:
@@ -369,9 +372,8 @@ class _Planning:
         limit, known, keys = limit_of(self.problem, 0.0), search.out_of_reach, search.keys
         work = self.oracle.work
         work.extend(*AFTER[1])
-        ratio = out_of_reach(
-            search.covering, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
-        )
+        prover = CostProver(search.covering, search.pool, work, search.find)
+        ratio = prover.out_of_reach(limit, known, best.worst, WIDTH, keys)
         if ratio is not None:
             self.progress.bounded(ratio.level)
         return self._record(best, gathered(search.pool, ratio, None))

@@ -1,17 +1,186 @@
-"""A choice of samples with its accuracy proven, as a plan."""
+"""Choices of samples: those that a search begins with, what is proven of the ones that it holds, and their plans.
+
+The search judges in floats and may judge too well, so that what it holds last need not be what is proven: however long
+it goes on, none is forgotten.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
 import numpy as np
 
-from sampling_design.errors import UndecidedError
+from sampling_design.accuracy.accuracy_record import Accuracy
+from sampling_design.accuracy.deviation import StandardDeviation
+from sampling_design.errors import InfeasibleRequirementError, UndecidedError
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.feasible_choices import GoalProofs
 from sampling_design.planning.figures import accuracy_of
-from sampling_design.planning.plan_record import Plan, deviation_of, reached
-from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.plan_record import Plan, deviation_of, reached, without_limits
+from sampling_design.planning.problem import SAME_PRICE, PlanProblem
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
+
+GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
+
+EVENLY = (np.sqrt(5.0) - 1) / 2  # multiples of it, less their whole part, are spread evenly
+
+TIGHTER, TIGHTEST, ROOM = 2.0, 0.95, 1.004
+"""Where samples may be late: how much tighter a search asks at most than the one before, the last margin, and room."""
+
+
+def tighter_margins(margin: float, judged: float, worst: float) -> list[float]:
+    """What a search asks next whose choice is proven to be worse than judged: early and late samples show there alone.
+
+    So much that this choice is none any more.
+    """
+    tighter = 1 - min((1 - margin) / min(worst * ROOM, TIGHTER), judged / ROOM)
+    return [tighter] if tighter < TIGHTEST else []
+
+
+@dataclass(frozen=True, eq=False)
+class ProvenChoice:
+    """A choice, its proof, and the ratios to the tolerances that this proves."""
+
+    chosen: Mask
+    proof: GoalProofs
+    ratios: Array
+
+    @property
+    def worst(self) -> float:
+        """The largest ratio."""
+        return float(self.ratios.max(initial=0.0))
+
+    def require_bounded(self) -> None:
+        """Refuse a choice of which nothing is proven. Raises UndecidedError."""
+        if not np.isfinite(self.worst):
+            raise UndecidedError("undecided: no plan was proven at all times within `timing_tolerance`. Ask for less.")
+
+
+class FeasibleChoices:
+    """Choices of one problem, each proven once at most."""
+
+    def __init__(self, problem: PlanProblem, work: Budget, prove: Callable[[Mask], tuple[GoalProofs, Array]]):
+        self.problem, self.work, self._prove = problem, work, prove
+        self._known: dict[bytes, ProvenChoice] = {}
+
+    def proven(self, chosen: Mask) -> ProvenChoice:
+        """What is proven of a choice."""
+        key = chosen.tobytes()
+        if key not in self._known:
+            self._known[key] = ProvenChoice(chosen, *self._prove(chosen))
+        return self._known[key]
+
+    def sharpest(self, incumbents: Iterable[tuple[Mask, float]], best: ProvenChoice) -> ProvenChoice:
+        """The best of what was held, by proof; a choice judged no better than the best is not proven to be better."""
+        for chosen, judged in incumbents:
+            if judged < best.worst:
+                best = min(best, self.proven(chosen), key=lambda found: found.worst)
+        return best
+
+    def cheapest(self, incumbents: Iterable[Mask], everything: Mask) -> ProvenChoice:
+        """The cheapest of what was held, and of all that is allowed, that is proven to keep the tolerances.
+
+        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. Raises
+        UndecidedError if nothing is proven to keep them.
+        """
+        cost, best = self.problem.cost, None
+        choices = sorted([*incumbents, everything], key=cost)
+        best = next((found for found in map(self.proven, choices) if found.worst <= 1), None)
+        for chosen in choices:
+            if best is not None and (self.work.over or cost(chosen) >= cost(best.chosen)):
+                break
+            best = self._mended(chosen, everything, best)
+        assert best is not None
+        return best
+
+    def _mended(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
+        """More of what is allowed, spread out, until the tolerances are proven, as long as that is cheaper than `best`.
+
+        It is asked for where a free response neither decays nor is observed well. Raises UndecidedError if
+        there is no `best`, and not even as much as spacings allow is proven to keep them.
+        """
+        more = np.argwhere(everything & ~chosen)
+        more = more[np.argsort((np.arange(len(more)) * EVENLY) % 1.0, kind="stable")]
+        low, high = 0, len(more)
+        while best is None or low < high:
+            count = high if best is None else (low + high) // 2
+            trial = chosen.copy()
+            for i, j in more[:count].tolist():
+                trial[i, j] = True
+                if not self.problem.is_admissible(trial):
+                    trial[i, j] = False
+            if best is not None and self.problem.cost(trial) >= self.problem.cost(best.chosen):
+                high = count
+                continue
+            found = self.proven(trial)
+            if found.worst <= 1:
+                best, high = found, count
+            elif best is None:
+                found.require_bounded()
+                raise UndecidedError(
+                    f"No plan was proven to keep the tolerances: the densest one is proven to keep "
+                    f"{found.worst:.4g} times them. Ask for less, or allow other hours."
+                )
+            else:
+                low = count + 1
+        return best
+
+
+def densest(problem: PlanProblem) -> Mask:
+    """As much as hours and spacing allow, from the first allowed time on."""
+    chosen = np.zeros(problem.allowed.shape, dtype=bool)
+    for i in np.flatnonzero(problem.allowed.any(axis=1)).tolist():
+        for j in np.flatnonzero(problem.allowed[i]).tolist():
+            chosen[i, j] = True
+            if not without_limits(problem).is_admissible(chosen):
+                chosen[i, j] = False
+    return chosen
+
+
+def sparse(problem: PlanProblem) -> Mask:
+    """A choice within the limits: times as even as can be, at each as many sensors as there is money for.
+
+    Raises InfeasibleRequirementError if not a single measurement is admissible.
+    """
+    at = np.flatnonzero(problem.allowed.any(axis=1))
+    each = problem.visit + problem.price.min()
+    affordable = problem.most_cost * (1 + SAME_PRICE) / each if each > 0 else np.inf
+    most = int(min(problem.most_samples, len(at), affordable))
+    for count in range(most, 0, -1):
+        chosen = np.zeros(problem.allowed.shape, dtype=bool)
+        wanted = np.arange(count) * problem.steps / count
+        for step in wanted:
+            near = np.argsort(np.abs((at - step + problem.steps / 2) % problem.steps - problem.steps / 2))
+            for i in at[near].tolist():
+                if _filled(problem, chosen, i):
+                    break
+        if int(chosen.any(axis=1).sum()) == count:
+            return _filled_up(problem, chosen)
+    raise InfeasibleRequirementError("No measurement is admissible within `cost_limit` and hours.", "cost_limit")
+
+
+def _filled_up(problem: PlanProblem, chosen: Mask) -> Mask:
+    """The samples of a choice with every sensor that there is room and money for, the cheapest first."""
+    for _ in range(chosen.shape[1]):
+        for i in np.flatnonzero(chosen.any(axis=1)).tolist():
+            _filled(problem, chosen, i)
+    return chosen
+
+
+def _filled(problem: PlanProblem, chosen: Mask, i: int) -> bool:
+    """Whether one more sensor, the cheapest, fits in at a step."""
+    done = False
+    for j in np.argsort(problem.price, kind="stable").tolist():
+        if problem.allowed[i, j] and not chosen[i, j]:
+            chosen[i, j] = True
+            done = problem.is_admissible(chosen)
+            if done:
+                break
+            chosen[i, j] = False
+    return done
 
 
 def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:

@@ -16,11 +16,10 @@ from sampling_design.planning.discrete_plant import UndetectedModes
 from sampling_design.planning.evidence import EASED
 from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajectories, HiddenTrajectory, weighed
 from sampling_design.planning.hitting_set import HittingSet, smallest_hitting_set
-from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.search_progress import PlanProgress
 from sampling_design.planning.work_prices import WEIGHED
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Mask
 
 GRID = 120  # steps at which a weakly observable trajectory is kept small, about
 SPREAD_ENDS = 4  # ends of one trajectory that join the program at a time
@@ -33,6 +32,7 @@ FRUITLESS = 5  # repairs in a row that come to nothing, after which only the che
 FLAT = 1e-5  # a tangent that raises the least cost by no more than this share is the last
 MOST_SWAPS = 200  # places of one measurement that are tried, at most
 NARROW = 0.01  # relative distance between the best choice and the level shown to be out of reach at which a search ends
+MOST_FAILURES = 4  # measurements in a row that no trajectory can do without, after which it is left at that
 STEP = 0.03  # how much better than the best so far is asked for next
 
 
@@ -218,7 +218,7 @@ class PlanSearch:
             if self.oracle.few:
                 size = self.covering.sizes(trajectory, ends, level)
                 ends = ends[size == size.min(initial=self.problem.allowed.size)]
-            ends = ends[_evenly(ends.size, SPREAD_ENDS)]
+            ends = ends[np.round(np.linspace(0, ends.size - 1, min(SPREAD_ENDS, ends.size))).astype(np.intp)]
             fresh += [(a, int(e)) for e in ends if (a, int(e)) not in known]
         return fresh
 
@@ -441,6 +441,39 @@ class PlanSearch:
                 return
 
 
-def _evenly(size: int, count: int) -> Index:
-    """So many places of a list, evenly spread."""
-    return np.round(np.linspace(0, size - 1, min(count, size))).astype(np.intp)
+def narrowed(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory:
+    """A trajectory that ends where this one does, reaches a level as it does, and that fewer measurements show.
+
+        A  hidden from S, reaching a level   ->   A'  hidden from S and x, for as many x as leave one that reaches it
+
+    A choice without any of what still shows it fails. Those that show it least are taken first, many at once while
+    that succeeds.
+    """
+    needed = np.zeros_like(oracle.problem.allowed)
+    count = max(1, int(detecting_measurements(oracle, trajectory, level).sum()) // 4)
+    failed = 0
+    while failed < MOST_FAILURES:
+        row = detecting_measurements(oracle, trajectory, level)
+        left = np.argwhere(row & ~needed)
+        if not len(left) or oracle.work.over:
+            break
+        count = max(1, min(count, len(left)))
+        peaks = trajectory.peaks[(trajectory.end - left[:, 0]) % oracle.problem.steps, left[:, 1]]
+        taken = left[np.argsort(peaks, kind="stable")[:count]]
+        hidden = oracle.problem.allowed & ~row
+        hidden[taken[:, 0], taken[:, 1]] = True
+        other = oracle.ending_with(hidden, trajectory, level)
+        if other is not None and other.reach > level:
+            trajectory, count, failed = other, 2 * count, 0
+        else:
+            needed[taken[:, 0], taken[:, 1]] |= count == 1
+            failed += count == 1
+            count //= 2
+    return trajectory
+
+
+def detecting_measurements(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> Mask:
+    """Which of all that may be measured shows a trajectory that is scaled to reach just a level (M, p)."""
+    steps = oracle.problem.steps
+    back = (trajectory.end - np.arange(steps)) % steps
+    return np.asarray(oracle.problem.allowed & (trajectory.weights(level)[back] > 0))

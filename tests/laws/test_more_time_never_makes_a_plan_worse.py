@@ -6,8 +6,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import UndecidedError
 from sampling_design.planning import plan as room
-from sampling_design.planning.feasible_choices import FeasibleChoices
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import FeasibleChoices
 from sampling_design.planning.search import PlanSearch
 from sampling_design.records.budget import Budget
 

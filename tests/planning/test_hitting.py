@@ -9,7 +9,7 @@ import pytest
 from sampling_design import PlanRequirement, Plant, plan_samples
 from sampling_design.planning import hitting_set
 from sampling_design.planning.adversary_program import DisturbedTrajectory
-from sampling_design.planning.bounds import prove_cost
+from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.cost_proof import CostTree, proven_cost
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import discretize
@@ -192,9 +192,8 @@ def test_nodes_that_run_out_leave_the_question_to_the_solver(monkeypatch):
     monkeypatch.setattr(hitting_set, "MOST_NODES", 3)
     found = smallest_hitting_set(covering, pool, 1.0, covering.dearest, Budget(counted=True))
     assert (found.chosen, found.none, found.proof) == (None, False, None)
-    proof = prove_cost(
-        covering, pool, 1.0, covering.dearest, Budget(counted=True), find=lambda x, level: None, decide=True
-    )
+    prover = CostProver(covering, pool, Budget(counted=True), lambda x, level: None)
+    proof = prover.least_cost(1.0, covering.dearest, decide=True)
     assert proof.value >= covering.dearest * (1 - 1e-9)
 
 

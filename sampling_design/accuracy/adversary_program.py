@@ -15,7 +15,7 @@ import numpy as np
 
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sampled_system import SampledSystem
-from sampling_design.accuracy.start import ErrorBefore, StartSet
+from sampling_design.accuracy.start import ErrorBefore
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram, StageSolution
@@ -58,22 +58,17 @@ def boxed(system: SampledSystem, nodes: list[int]) -> bool:
 
 
 class ConeWindow:
-    """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them.
-
-    `data` are the measurements less what they would be without error, one array for each sample, in units of its noise.
-    """
+    """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them."""
 
     def __init__(
         self,
         system: SampledSystem,
         nodes: list[int],
         start: ErrorBefore,
-        data: list[Array] | None = None,
         tolerance: float = TOLERANCE,
     ):
-        self.system, self.nodes, self.start, self.data = system, nodes, start, data
+        self.system, self.nodes, self.start = system, nodes, start
         self._tolerance = tolerance
-        self.infeasible = False
         self._stages = self._staged()
         self._built = False
         if self._stages is None:
@@ -83,7 +78,7 @@ class ConeWindow:
         """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
         system, start = self.system, self.start
         gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
-        if self.data is not None or not boxed(system, self.nodes) or not gaps:
+        if not boxed(system, self.nodes) or not gaps:
             return None
         fits, S = start.staged()
         if not fits:
@@ -99,20 +94,19 @@ class ConeWindow:
         gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
         B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
         self._w_at = K * n + np.concatenate([[0], np.cumsum([own.shape[1] for own in B])]).astype(int)
-        table, y = ConeTable(int(self._w_at[-1])), self.data or [np.zeros(len(s.H)) for s in samples]
+        table = ConeTable(int(self._w_at[-1]))
         F = np.array([gap.F for gap in gaps]).reshape(-1, n, n)
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, K * n)
-        self._exact_at = [table.add(y[k][s.exact], (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
+        self._exact_at = [table.add(np.zeros(int(s.exact.sum())), (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
         table.end("zero")
         self.start.pose(table, ball=False)
-        noisy = [(k * n, s.H[~s.exact], y[k][~s.exact]) for k, s in enumerate(samples)]
-        round_v = [system.bounds.v_ball and len(H) > 1 for _, H, _ in noisy]
-        each = list(zip(noisy, round_v, strict=True))
-        self._box_at = [-1 if r else table.box(at, H, np.ones(len(H)), own) for (at, H, own), r in each]
+        noisy = [(k * n, s.H[~s.exact]) for k, s in enumerate(samples)]
+        each = [(at, H, system.bounds.v_ball and len(H) > 1) for at, H in noisy]
+        self._box_at = [-1 if r else table.box(at, H, np.ones(len(H))) for at, H, r in each]
         if not system.bounds.w_ball:
             table.unit_box(K * n, table.columns - K * n)
         table.end("nonnegative")
-        self._ball_at = [table.ball(*one) if r else -1 for one, r in each]
+        self._ball_at = [table.ball(at, H) if r else -1 for at, H, r in each]
         self.start.pose(table, ball=True)
         if system.bounds.w_ball and q:
             table.unit_balls(K * n, q, (table.columns - K * n) // q)
@@ -137,7 +131,6 @@ class ConeWindow:
         cost = np.zeros(int(self._w_at[-1]))
         cost[(K - 1) * n : K * n] = -mu
         x, y, status = self._solver.solve(cost, self._b)
-        self.infeasible = status == INFEASIBLE
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):
             return self._nowhere()
         w, y = tuple(x[i:j] for i, j in pairwise(self._w_at)), y * size
@@ -198,7 +191,7 @@ class ConeWindow:
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
         """Return what any gains prove, for all real times."""
-        return evaluated(self.system, self.nodes, self.start, mu, gains, self.data)
+        return evaluated(self.system, self.nodes, self.start, mu, gains)
 
     def _admissible(self, mu: Array, point: StageSolution) -> Adversary:
         """The solver's disturbance, simulated from its start (0 unless that is a set) and scaled until admissible."""
@@ -228,9 +221,9 @@ class ConeWindow:
     def _first(self, z: Array) -> Array:
         """The state of an adversary at the first sample, from a solver's: admissible before it, but for its size."""
         system, at = self.system, self.nodes[0]
-        if isinstance(self.start, StartSet):
+        if self.start is system.start:
             return system.admissible_start(z)
-        if not self.start.reach.any() or system.free_responses is None:
+        if system.free_responses is None or not self.start.support(np.ones_like(z), 1.0):
             return np.zeros_like(z)
         x = system.free_responses.nearest(system.D * (system.L[at] @ z))
         return np.asarray(np.linalg.solve(system.L[at], x / system.D))
@@ -238,8 +231,8 @@ class ConeWindow:
     def _excess(self, z: Array, w: list[Array]) -> float:
         """Least factor by which bounds must grow for this trajectory, at least 1."""
         system, factor = self.system, 1.0
-        if isinstance(self.start, StartSet):
-            factor = max(factor, self.start.excess(z[0]))
+        if system.start is not None and self.start is system.start:
+            factor = max(factor, system.start.excess(z[0]))
         elif z[0].any() and system.free_responses is not None:
             factor = max(factor, system.free_responses.excess(system.D * (system.L[self.nodes[0]] @ z[0])))
         for u in w:

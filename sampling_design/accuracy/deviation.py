@@ -129,7 +129,7 @@ def standard_deviation(
     Raises
     ------
     ArgumentError
-        If a size is missing, negative or of another shape.
+        If a size is missing, negative or of another shape, or a periodic schedule is given a start or an end.
     UndecidedError
         If the samples show some state so weakly, or modes grow so far between them, that doubles hold no answer.
 
@@ -153,11 +153,7 @@ def standard_deviation(
     """
     schedule = align(plant, schedule)
     rows = requested_rows(plant, of)
-    nothing = np.zeros(plant.n_outputs)
-    if schedule.endless:
-        question = AccuracyQuestion.endless(plant, schedule, 0.0, nothing)
-    else:
-        question = AccuracyQuestion.finite(plant, schedule, 0.0, nothing, None, start, end)
+    question = AccuracyQuestion.of(plant, schedule, 0.0, np.zeros(plant.n_outputs), None, start, end)
     return deviations(question, rows, w_intensity, v_deviation)
 
 
@@ -167,11 +163,8 @@ def deviations(
     """Return the standard deviations for the schedule of a question."""
     plant, schedule = question.plant, question.schedule
     W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
-    amplitude = np.sqrt(np.diag(W))
-    if schedule.endless:
-        question = AccuracyQuestion.endless(plant, schedule, amplitude, v)
-    else:
-        question = AccuracyQuestion.finite(plant, schedule, amplitude, v, None, float(question.nodes[0]), question.end)
+    ends = (None, None) if schedule.endless else (float(question.nodes[0]), question.end)
+    question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
     known = question.known()
     curves = _Curves(question, known.plant, W, known.moving)
     lengths = np.diff(question.nodes, append=question.end)
@@ -328,11 +321,8 @@ def _deviation(plant: Plant, samples: int, value: Intensity) -> Array:
         )
     if checks.dimensions(value) == 0:
         return np.full((samples, p), checks.nonnegative("v_deviation", value))
-    array = (
-        np.array(checks.matrix("v_deviation", value, samples, p))
-        if checks.dimensions(value) == 2
-        else np.broadcast_to(checks.vector("v_deviation", value, p), (samples, p)).copy()
-    )
+    rows = checks.matrix("v_deviation", value, samples, p) if checks.dimensions(value) == 2 else None
+    array = np.array(np.broadcast_to(checks.vector("v_deviation", value, p) if rows is None else rows, (samples, p)))
     if np.any(array < 0):
         raise ArgumentError(f"`v_deviation` must not be negative, got {float(array.min())!r}.")
     return array

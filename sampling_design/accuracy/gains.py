@@ -26,21 +26,10 @@ class Gains:
     gains: tuple[Array, ...]  # (p_k,) in units of the noise
 
 
-def evaluated(
-    system: SampledSystem,
-    nodes: list[int],
-    start: ErrorBefore,
-    mu: Array,
-    gains: list[Array],
-    data: list[Array] | None = None,
-) -> Gains:
-    """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
+def evaluated(system: SampledSystem, nodes: list[int], start: ErrorBefore, mu: Array, gains: list[Array]) -> Gains:
+    """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains)."""
     cost, g, scale, _ = followed_back(system, nodes, mu[:, None], lambda k, _: gains[k][:, None])
-    total = float(cost[0])
-    total += start.support(g[:, 0], float(scale[0]))
-    if data is not None:
-        values = [float(lam @ y) for lam, y in zip(gains, data, strict=True)]
-        return Gains(sum(values) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(values).sum()), tuple(gains))
+    total = float(cost[0]) + start.support(g[:, 0], float(scale[0]))
     return Gains(total * (1 + ROUNDING), tuple(gains))
 
 
@@ -57,9 +46,7 @@ def followed_back(
     bounds on |z| after the samples before, the one at which so little was left that it went no farther back.
     """
     total, g, scale, reach = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0), None
-    propagated: dict[
-        int, tuple[GapDynamics, list[Array]]
-    ] = {}  # a system may hold a gap many times: one integral for all
+    propagated: dict[int, tuple[GapDynamics, list[Array]]] = {}  # one integral for a gap that comes many times
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = system.samples[nodes[k]], gains_at(k, g)
         total += noise_cost(lam, sample.exact, system.bounds.v_ball)

@@ -62,14 +62,19 @@ class AccuracyQuestion:
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: NoiseBound,
-        initial_error: InitialError, start: float | None, end: float | None, late: TimingTolerance,
+        initial_error: InitialError = None, start: float | None = None, end: float | None = None,
+        late: TimingTolerance = ON_TIME,
     ) -> AccuracyQuestion:  # fmt: skip
         """Ask about a schedule of either kind, whose samples may be so early or late, and results so much later.
 
-        Raises ArgumentError if an endless one is given a start, an end or an initial error, or as for `finite`.
+        A periodic one has been under way for so long that its start no longer matters. A finite one lasts from `start`
+        (default: its first sample) to `end` (default: its last result).
+
+        Raises ArgumentError if an endless one is given a start, an end or an initial error, if a sample lies outside,
+        or a bound is missing or of another shape.
         """
         v_bound, comes_later = terms_of_sensors(plant, v_bound)
-        delays = np.zeros(plant.n_outputs) if comes_later is None else comes_later
+        times, p = schedule.times, plant.n_outputs
         if schedule.endless:
             given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
             if given:
@@ -77,48 +82,16 @@ class AccuracyQuestion:
                     f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
                     "Cut it: schedule.between(start, end)."
                 )
-            question = cls.endless(plant, schedule, w_bound, v_bound)
-            return replace(
-                question, nodes=freeze(question.nodes + late.shift), end=question.end + late.shift,
-                timing_tolerance=late, result_delay=comes_later,
-            )  # fmt: skip
-        until = end
-        if end is None and len(schedule):
-            mask = np.ones((len(schedule), delays.size), dtype=bool) if schedule.outputs is None else schedule.outputs
-            comes = np.where(mask, delays + late.late, max(late.late))
-            until = float(np.max(schedule.times + comes.max(axis=1, initial=0.0)))
-        question = cls.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
-        nodes = question.nodes.copy()
-        nodes[question.samples] += late.shift
-        return replace(question, nodes=freeze(nodes), timing_tolerance=late, result_delay=comes_later)
-
-    @classmethod
-    def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
-        """Ask about a periodic schedule, so long under way that its start no longer matters."""
-        times = schedule.times
-        bounds = SignalBounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound, times)
-        return cls(plant, schedule, bounds, None, times, float(times[0] + schedule.period))
-
-    @classmethod
-    def finite(
-        cls,
-        plant: Plant,
-        schedule: Schedule,
-        w_bound: Bound,
-        v_bound: Bound,
-        initial_error: InitialError,
-        start: float | None,
-        end: float | None,
-    ) -> AccuracyQuestion:
-        """Ask about a finite schedule between `start` (default: its first sample) and `end` (default: its last).
-
-        Raises ArgumentError if a sample lies outside, or a bound is missing or of another shape.
-        """
-        times = schedule.times
+            bounds = SignalBounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound, times)
+            last = float(times[0] + schedule.period) + late.shift
+            return cls(plant, schedule, bounds, None, freeze(times + late.shift), last, late, comes_later)
         if not times.size:
             raise ArgumentError("`schedule` must have at least one sample, got none.")
+        mask = np.ones((times.size, p), dtype=bool) if schedule.outputs is None else schedule.outputs
+        delays = np.zeros(p) if comes_later is None else comes_later
+        comes = np.where(mask, delays + late.late, max(late.late))
         first = float(times[0]) if start is None else checks.number("start", start)
-        last = float(times[-1]) if end is None else checks.number("end", end)
+        last = float(np.max(times + comes.max(axis=1, initial=0.0))) if end is None else checks.number("end", end)
         if first > times[0]:
             raise ArgumentError(f"`start` must not lie after the first sample {float(times[0])!r}, got {first!r}.")
         if last < times[-1]:
@@ -126,13 +99,13 @@ class AccuracyQuestion:
                 f"`end` must not lie before the last sample {float(times[-1])!r}, got {last!r}. "
                 "Cut the schedule: schedule.between(start, end)."
             )
-        bounds = SignalBounds.of(plant, times.size, schedule.outputs, w_bound, v_bound, times)
+        bounds, nodes = SignalBounds.of(plant, times.size, mask, w_bound, v_bound, times), times + late.shift
         if first < times[0]:
-            v = np.vstack([np.full((1, plant.n_outputs), np.inf), bounds.v])
-            middle = None if bounds.v_centre is None else np.vstack([np.zeros((1, plant.n_outputs)), bounds.v_centre])
-            bounds = replace(bounds, v=freeze(v), v_centre=None if middle is None else freeze(middle))
-            times = np.append(first, times)
-        return cls(plant, schedule, bounds, InitialSet.of(plant, initial_error), times, last)
+            v, middle = np.vstack([np.full((1, p), np.inf), bounds.v]), bounds.v_centre
+            centre = None if middle is None else freeze(np.vstack([np.zeros((1, p)), middle]))
+            bounds, nodes = replace(bounds, v=freeze(v), v_centre=centre), np.append(first, nodes)
+        initial = InitialSet.of(plant, initial_error)
+        return cls(plant, schedule, bounds, initial, freeze(nodes), last, late, comes_later)
 
     def primitive(self) -> AccuracyQuestion:
         """The same question over the shortest period that samples and bounds on their noise have."""

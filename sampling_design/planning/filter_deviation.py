@@ -39,15 +39,15 @@ class GridFilter:
         self.F, self.Q = F[0], symmetrise(Q[0])
         self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
 
-    def variances(self, chosen: Mask, *, wide: bool = True, periods: int = PERIODS) -> tuple[Array, Array]:
+    def variances(self, chosen: Mask) -> tuple[Array, Array]:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
         n, (B, M, p) = self.discrete.n, chosen.shape
-        P = np.tile(np.eye(n) * (WIDE if wide else 0.0), (B, 1, 1))
+        P = np.tile(np.eye(n) * WIDE, (B, 1, 1))
         read = [[(j, chosen[:, i, j]) for j in range(p) if chosen[:, i, j].any()] for i in range(M)]
         lost = np.zeros(B, dtype=bool)
         before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
-        last = np.full((B, len(self.rows)), np.inf if wide else 0.0)
-        for _ in range(periods):
+        last = np.full((B, len(self.rows)), np.inf)
+        for _ in range(PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
             for i in range(M):
                 P = propagate(P, self.F, self.Q)

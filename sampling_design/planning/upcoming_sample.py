@@ -21,6 +21,7 @@ from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
+from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, Record, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.opening import WEEK
@@ -142,7 +143,10 @@ class NextSample(Record):
             unit = f" {goal.unit}" if goal.unit else ""
             now = f"within {short(value, 4)}{unit}" if np.isfinite(value) else "not known yet"
             rows.append((f"{name} now", f"{now} (tolerance {short(goal.tolerance)})"))
-        rows += [(f"{one.output} of {self.when(one.t)}", f"is out, in {self._comes(one)}") for one in self.awaited]
+        for one in self.awaited:
+            early = f"from {self.when(one.earliest, self.now)} to " if self.now < one.earliest < one.latest else "by "
+            until = self.when(one.latest, self.now)
+            rows.append((f"{one.output} of {self.when(one.t)}", f"is out, in {early}{until}"))
         rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
         rows.append(("latest" if self.keeps else "soonest help", self._read_at(self.latest, self.outputs)))
         rows += [("later" if self.keeps else "then", self._later(self.deadline))] if self.deadline else []
@@ -155,11 +159,6 @@ class NextSample(Record):
         ahead = np.isfinite(self.judged_until)
         rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] if ahead else []
         return rows
-
-    def _comes(self, one: AwaitedResult) -> str:
-        """When a result comes, in words."""
-        between = f"from {self.when(one.earliest, self.now)} to " if self.now < one.earliest < one.latest else "by "
-        return between + self.when(one.latest, self.now)
 
     def _again(self) -> str:
         """From when on every tolerance is kept again."""
@@ -215,32 +214,26 @@ class NextSample(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
 
+        def number(x: float) -> Plain:
+            return x if np.isfinite(x) else None
+
         def plain(t: float) -> Plain:
             date = self.date(t)
-            return {"time": t if np.isfinite(t) else None, "date": None if date is None else date.isoformat()}
+            return {"time": number(t), "date": None if date is None else date.isoformat()}
 
-        def plain_deadline(found: GoalDeadline | None) -> Plain:
+        def goal(found: GoalDeadline | None) -> Plain:
             if found is None:
                 return None
-            ratio = found.ratio if np.isfinite(found.ratio) else None
-            return {"goal": found.goal, "ratio": ratio, "when": plain(found.time)}
+            return {"goal": found.goal, "ratio": number(found.ratio), "when": plain(found.time)}
 
         return {
-            "now": plain(self.now),
-            "latest": plain(self.latest),
-            "outputs": list(self.outputs),
-            "deadline": plain_deadline(self.deadline),
+            **{key: plain(getattr(self, key)) for key in ("now", "latest", "best", "kept_from", "judged_until")},
+            **selected(self, "outputs best_outputs proven complete"),
+            **{key: goal(getattr(self, key)) for key in ("deadline", "exceeded")},
             "alone": {name: plain(t) for name, t in self.alone.items()},
-            "alone_deadlines": {name: plain_deadline(self.alone_deadlines.get(name)) for name in self.alone},
-            "best": plain(self.best),
-            "best_outputs": list(self.best_outputs),
-            "ratio": self.ratio if np.isfinite(self.ratio) else None,
-            "proven": self.proven,
-            "kept_from": plain(self.kept_from),
-            "exceeded": plain_deadline(self.exceeded),
-            "known": {name: value if np.isfinite(value) else None for name, value in self.known.items()},
-            "judged_until": plain(self.judged_until),
-            "complete": self.complete,
+            "alone_deadlines": {name: goal(self.alone_deadlines.get(name)) for name in self.alone},
+            "ratio": number(self.ratio),
+            "known": {name: number(value) for name, value in self.known.items()},
             "awaited": [
                 {"output": one.output, "t": plain(one.t), "earliest": plain(one.earliest), "latest": plain(one.latest)}
                 for one in self.awaited

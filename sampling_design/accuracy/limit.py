@@ -39,14 +39,6 @@ OFFSETS = 5  # offsets of the longest gap between zones that are looked at first
 ON_EDGE = 1e-9  # share of the times at hand within which the end of a gap and that of a zone are one
 
 
-@dataclass(frozen=True, eq=False)
-class LimitWitness:
-    """An trajectory, and where in the period of the zones its last node stands; None where nothing is needed."""
-
-    trajectory: AccuracyWitness | None
-    phase: float
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class AccuracyLimit(TableRecord, PlainRecord):
     """A lower bound on the least guaranteed error of each row that holds for every schedule of the allowed times.
@@ -62,8 +54,10 @@ class AccuracyLimit(TableRecord, PlainRecord):
         Of the zones; 0 without them.
     lower : (r,) array
         Attained by `witnesses`: infinite where not even continuous measurement shows a mode.
-    witnesses : tuple of LimitWitness
-        From rest, with |C x(t)| within v_bound at every allowed real time.
+    witnesses : tuple of AccuracyWitness
+        From rest, with |C x(t)| within v_bound at every allowed real time; None where nothing is needed.
+    phases : (r,) array
+        Where in the period of the zones the last node of each stands.
     unknown : tuple of str
         Eigenvalues of modes that no measurement shows.
     """
@@ -74,20 +68,19 @@ class AccuracyLimit(TableRecord, PlainRecord):
     zones: Array | None
     period: float
     lower: Array
-    witnesses: tuple[LimitWitness, ...]
+    witnesses: tuple[AccuracyWitness | None, ...]
+    phases: Array
     unknown: tuple[str, ...]
 
     _frame = "row:rows.names unit:rows.units lower"
-    _plain = "rows:rows.names lower zones period unknown witnesses:_trajectories"
-
-    def _trajectories(self) -> tuple[AccuracyWitness | None, ...]:
-        return tuple(one.trajectory for one in self.witnesses)
+    _plain = "rows:rows.names lower zones period unknown witnesses"
 
     def verify(self) -> bool:
         """Whether every witness keeps its bounds at all allowed real times and reaches its value."""
         known = _known(self.plant)
-        for row, lower, witness in zip(self.rows.matrix, self.lower, self.witnesses, strict=True):
-            trajectory, lost = witness.trajectory, known.touches(row)
+        phases = self.phases.tolist()
+        for row, lower, trajectory, phase in zip(self.rows.matrix, self.lower, self.witnesses, phases, strict=True):
+            lost = known.touches(row)
             if trajectory is None:
                 if not (lost or lower == 0):
                     return False
@@ -95,7 +88,7 @@ class AccuracyLimit(TableRecord, PlainRecord):
             same = np.array_equal(trajectory.plant.A, known.plant.A) and np.array_equal(
                 trajectory.row, row @ known.lift
             )
-            value, excess = _kept(witness, self.bounds, self.zones, self.period)
+            value, excess = _kept(trajectory, phase, self.bounds, self.zones, self.period)
             if lost or not same or excess > 1 + KEPT or value < lower * (1 - KEPT):
                 return False
         return True
@@ -177,15 +170,17 @@ def accuracy_limit(
     known = _known(plant)
     one = SignalBounds.of(plant, 1, None, w_bound, v_bound, np.zeros(1))
     one = replace(one, w_centre=None, v_centre=None)
-    lower, found = np.full(len(rows), np.inf), [LimitWitness(None, 0.0)] * len(rows)
+    lower, phases = np.full(len(rows), np.inf), np.zeros(len(rows))
+    witnesses: list[AccuracyWitness | None] = [None] * len(rows)
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
     exact = bool(np.any(one.v == 0))
     for k in safe:
         if not exact:
-            found[k] = _strongest(known.plant, rows.matrix[k] @ known.lift, one, allowed, span, tolerance)
-        witness = found[k].trajectory
+            row = rows.matrix[k] @ known.lift
+            witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance)
+        witness = witnesses[k]
         lower[k] = 0.0 if witness is None else witness.value
-    return AccuracyLimit(plant, rows, one, allowed, span, freeze(lower), tuple(found), known.modes)
+    return AccuracyLimit(plant, rows, one, allowed, span, freeze(lower), tuple(witnesses), freeze(phases), known.modes)
 
 
 def _zones(zones: Zones, period: float | None) -> Array | None:
@@ -258,19 +253,20 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
 
 def _strongest(
     plant: Plant, row: Array, bounds: SignalBounds, allowed: Array | None, period: float, rtol: float
-) -> LimitWitness:
-    """The strongest witness over finer and finer nodes."""
-    best, step = LimitWitness(None, 0.0), _step(plant, bounds, allowed, period)
+) -> tuple[AccuracyWitness | None, float]:
+    """The strongest witness over finer and finer nodes, and its phase."""
+    best: tuple[AccuracyWitness | None, float] = None, 0.0
+    step = _step(plant, bounds, allowed, period)
     for halving in range(HALVINGS):
         nodes, span = _nodes(allowed, period, step)
         if nodes.size > 2 * CROWDED and halving:
             break
         question = _question(plant, bounds, nodes, span)
-        found, factor = _adversary_in_gap(
+        found, phase, factor = _adversary_in_gap(
             GainSearch(*question.filter_bounds(plant)), question, row, allowed, period, rtol
         )
-        if found.trajectory is not None and (best.trajectory is None or found.trajectory.value > best.trajectory.value):
-            best = found
+        if found is not None and (best[0] is None or found.value > best[0].value):
+            best = found, phase
         if factor <= 1 + rtol / 2:
             break
         step /= 2
@@ -279,8 +275,8 @@ def _strongest(
 
 def _adversary_in_gap(
     search: GainSearch, question: AccuracyQuestion, row: Array, allowed: Array | None, period: float, rtol: float
-) -> tuple[LimitWitness, float]:
-    """A witness that is admissible at all allowed real times, and by how much it had to shrink for it."""
+) -> tuple[AccuracyWitness | None, float, float]:
+    """A witness that is admissible at all allowed real times, its phase, and by how much it had to shrink for it."""
     found = search.opened(row)
     j = int(np.argmax([gap.length for gap in search.system.gaps]))
     at, search.deep, before = 0, SHALLOW, 0.0
@@ -305,27 +301,27 @@ def _adversary_in_gap(
             choices.append((float(values[place]), place, adversary))
     _, place, adversary = max(choices, key=lambda choice: choice[0])
     trajectory = physical(row, found.opened[adversary.sample], adversary, place)
-    witness = LimitWitness(replace(trajectory, last=0), float(question.nodes[adversary.sample]))
-    value, excess = _kept(witness, question.bounds, allowed, period)
+    trajectory, phase = replace(trajectory, last=0), float(question.nodes[adversary.sample])
+    value, excess = _kept(trajectory, phase, question.bounds, allowed, period)
     if not value > 0 or not np.isfinite(excess):
-        return LimitWitness(None, 0.0), np.inf if value > 0 else 1.0
-    return replace(witness, trajectory=replace(trajectory.within(excess, value), last=0)), max(excess, 1.0)
+        return None, 0.0, np.inf if value > 0 else 1.0
+    return replace(trajectory.within(excess, value), last=0), phase, max(excess, 1.0)
 
 
-def _kept(witness: LimitWitness, bounds: SignalBounds, zones: Array | None, period: float) -> tuple[float, float]:
+def _kept(
+    witness: AccuracyWitness, phase: float, bounds: SignalBounds, zones: Array | None, period: float
+) -> tuple[float, float]:
     """What a witness attains, and the factor by which it exceeds its bounds at all allowed times."""
-    assert witness.trajectory is not None
-    value, excess = attains(witness.trajectory, replace(bounds, v=bounds.v[:1]))
+    value, excess = attains(witness, replace(bounds, v=bounds.v[:1]))
     if not np.isfinite(excess):
         return value, excess
-    return value, max(excess, _between(witness.trajectory, bounds, _looked_into(witness, zones, period)))
+    return value, max(excess, _between(witness, bounds, _looked_into(witness, phase, zones, period)))
 
 
-def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> Mask:
+def _looked_into(witness: AccuracyWitness, phase: float, zones: Array | None, period: float) -> Mask:
     """Which gaps of a witness hold an allowed time; the last one is what follows its last node."""
-    assert witness.trajectory is not None
-    samples = witness.trajectory.samples
-    marks = np.append(samples, witness.trajectory.edges[-1]) - samples[-1] + witness.phase
+    samples = witness.samples
+    marks = np.append(samples, witness.edges[-1]) - samples[-1] + phase
     if zones is None:
         return np.ones(samples.size, dtype=bool)
     slack = ON_EDGE * max(period, float(np.abs(marks).max()))

@@ -60,13 +60,7 @@ def boxed(system: SampledSystem, nodes: list[int]) -> bool:
 class ConeWindow:
     """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them."""
 
-    def __init__(
-        self,
-        system: SampledSystem,
-        nodes: list[int],
-        start: ErrorBefore,
-        tolerance: float = TOLERANCE,
-    ):
+    def __init__(self, system: SampledSystem, nodes: list[int], start: ErrorBefore, tolerance: float = TOLERANCE):
         self.system, self.nodes, self.start = system, nodes, start
         self._tolerance = tolerance
         self._stages = self._staged()

@@ -19,14 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.accuracy.readings import (
-    DisturbanceSet,
-    RecordRow,
-    RowReading,
-    StartError,
-    gathered,
-    input_at,
-)
+from sampling_design.accuracy.readings import DisturbanceSet, RecordRow, RowReading, StartError, gathered, input_at
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.uncertain_times import TimeShift
 from sampling_design.numerics.balancing import balance, balanced

@@ -115,12 +115,7 @@ class PeriodicGains:
 
     @checked
     def __init__(
-        self,
-        found: Accuracy,
-        *,
-        initial_error: InitialError = None,
-        prior: npt.ArrayLike | None = None,
-        first: int = 0,
+        self, found: Accuracy, *, initial_error: InitialError = None, prior: npt.ArrayLike | None = None, first: int = 0
     ) -> None:
         plant, finite = found.plant, "`found` must be the accuracy of a periodic schedule, got that of one that ends."
         schedule = period_of(found.schedule, finite)

@@ -20,12 +20,7 @@ from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import (
-    CovarianceMap,
-    covariance_root,
-    information_update,
-    update_with_gain,
-)
+from sampling_design.numerics.filtering import CovarianceMap, covariance_root, information_update, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant

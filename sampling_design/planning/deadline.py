@@ -11,14 +11,7 @@ import numpy as np
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
-from sampling_design.planning.sequence import (
-    SequenceSpan,
-    is_past,
-    judged_at_once,
-    longest_out,
-    spans_of,
-    window_after,
-)
+from sampling_design.planning.sequence import SequenceSpan, is_past, judged_at_once, longest_out, spans_of, window_after
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, sequence_filter
 from sampling_design.records.arrays import Array
 

@@ -187,8 +187,7 @@ def _bound(problem: PlanProblem, discrete: DiscretePlant, tree: Tree) -> PlanBou
                 or not problem.goals[trajectory["goal"]].stochastic
             ):
                 raise refuse(
-                    f"trajectories[{k}]",
-                    "touches beside the grid and its sensors, or is of a goal that is guaranteed",
+                    f"trajectories[{k}]", "touches beside the grid and its sensors, or is of a goal that is guaranteed"
                 )
             continue
         knots, steps, q = trajectory["knots"], len(trajectory["w"]), discrete.G.shape[1]

@@ -95,12 +95,7 @@ def time_out(plan: PlanFigures) -> float:
 
 
 def worst_ratio(
-    plan: PlanFigures,
-    sequence: SampleSequence,
-    above: float = np.inf,
-    until: float = np.inf,
-    *,
-    closely: bool = True,
+    plan: PlanFigures, sequence: SampleSequence, above: float = np.inf, until: float = np.inf, *, closely: bool = True
 ) -> float:
     """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the grid.
 

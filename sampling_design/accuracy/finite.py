@@ -69,19 +69,7 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     table = GapTable(A, G, np.ones(len(A)))
     gaps = tuple(make_gap(table, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
-    return SampledSystem(
-        plant=plant,
-        bounds=bounds,
-        D=D,
-        L=L,
-        A=A,
-        G=G,
-        samples=tuple(samples),
-        gaps=gaps,
-        start=start,
-        last=last,
-        known=initial.exact,
-    )
+    return SampledSystem(plant, bounds, D, L, A, G, tuple(samples), gaps, start=start, last=last, known=initial.exact)
 
 
 def covariance_root(P: Array) -> Array:

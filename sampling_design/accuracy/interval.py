@@ -467,17 +467,7 @@ def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | 
         if found is not None:
             nothing = freeze(np.full(len(rows), np.nan))
             gains = freeze(np.zeros((len(rows), 2, len(readings.y))))
-            return Interval(
-                readings=readings,
-                t=t,
-                rows=rows,
-                lower=nothing,
-                upper=nothing,
-                gains=gains,
-                scales=program.table.D,
-                outer=None,
-                disproof=found,
-            )
+            return Interval(readings, t, rows, nothing, nothing, gains, program.table.D, disproof=found)
     lower, upper = np.array([-down.value for _, down in ends]), np.array([up.value for up, _ in ends])
     if outer is not None:
         lower, upper = np.fmax(lower, outer[:, 0]), np.fmin(upper, outer[:, 1])

@@ -180,7 +180,9 @@ def accuracy_limit(
             witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance)
         witness = witnesses[k]
         lower[k] = 0.0 if witness is None else witness.value
-    return AccuracyLimit(plant, rows, one, allowed, span, freeze(lower), tuple(witnesses), freeze(phases), known.modes)
+    return AccuracyLimit(
+        plant, rows, one, allowed, span, freeze(lower), tuple(witnesses), freeze(phases), unknown=known.modes
+    )
 
 
 def _zones(zones: Zones, period: float | None) -> Array | None:

@@ -252,16 +252,11 @@ def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset
     measured = np.zeros((len(system.samples), system.plant.n_outputs), dtype=bool)
     for j in set(nodes):
         measured[j, system.samples[j].outputs] = True
+    states = freeze([sign * system.D * (system.L[j] @ z) for j, z in zip(nodes, adversary.z, strict=True)])
+    w_cells, last = freeze(np.concatenate(w) if w else np.zeros((0, scale.size))), system.sample_of(adversary.sample)
+    ends, value = freeze(np.concatenate(edges)), float(abs(reached) + opened.below[offset])
     return AccuracyWitness(
-        plant=system.plant,
-        row=freeze(row),
-        edges=freeze(np.concatenate(edges)),
-        w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
-        samples=freeze(samples),
-        last=system.sample_of(adversary.sample),
-        states=freeze(sign * np.array([system.D * (system.L[j] @ z) for j, z in zip(nodes, adversary.z, strict=True)])),
-        outputs=measured[nodes],
-        value=float(abs(reached) + opened.below[offset]),
+        system.plant, freeze(row), ends, w_cells, freeze(samples), last, states, measured[nodes], value=value
     )
 
 

@@ -353,17 +353,13 @@ class _DatedPlan:
         """The samples that are taken, as dates."""
         names = self.plan.plant.outputs.names
         every = [(t, s, False) for t, s in zip(self.times[self.open].tolist(), self.measured[self.open], strict=True)]
-        every += [(t, s, True) for t, s in added]
-        return tuple(
-            PlannedDate(
-                self.calendar.instant(t * self.clock.minutes),
-                float(self.clock.elapsed(t)),
-                tuple(n for n, m in zip(names, s, strict=True) if m),
-                new,
-            )
-            for t, s, new in sorted(every, key=lambda item: item[0])
-            if 0 <= t < self.end
-        )
+        found = []
+        for t, s, new in sorted([*every, *((t, s, True) for t, s in added)], key=lambda item: item[0]):
+            if 0 <= t < self.end:
+                read = tuple(n for n, m in zip(names, s, strict=True) if m)
+                date = self.calendar.instant(t * self.clock.minutes)
+                found.append(PlannedDate(date, float(self.clock.elapsed(t)), read, new))
+        return tuple(found)
 
 
 def _runs(mask: Mask) -> list[Index]:

@@ -155,17 +155,11 @@ class PlanProblem:
 
     def schedule(self, chosen: Mask) -> PeriodicSchedule:
         """The periodic schedule of a choice."""
-        at = np.flatnonzero(chosen.any(axis=1))
-        origin = None
-        if self.requirement.calendar is not None:
-            origin = self.requirement.calendar.instant(0.0).isoformat()
+        at, calendar = np.flatnonzero(chosen.any(axis=1)), self.requirement.calendar
+        origin, unit = None if calendar is None else calendar.instant(0.0).isoformat(), self.plant.time_unit
+        names = self.plant.outputs.names
         return PeriodicSchedule.from_times(
-            at * self.step,
-            self.period,
-            chosen[at],
-            time_unit=self.plant.time_unit,
-            origin=origin,
-            output_names=self.plant.outputs.names,
+            at * self.step, self.period, chosen[at], time_unit=unit, origin=origin, output_names=names
         )
 
     def chosen(self, schedule: PeriodicSchedule) -> Mask:

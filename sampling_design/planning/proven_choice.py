@@ -207,13 +207,6 @@ def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: st
 
 def plan_of(problem: PlanProblem, chosen: Mask, proof: GoalProofs, bound: PlanBound, status: str) -> Plan:
     """The plan of a choice whose proof is at hand."""
-    return Plan(
-        problem.plant,
-        problem.requirement,
-        problem.schedule(chosen),
-        proof[0],
-        freeze(reached(problem, chosen, *proof)),
-        bound,
-        status=status,
-        deviation=proof[1],
-    )
+    plant, requirement, schedule = problem.plant, problem.requirement, problem.schedule(chosen)
+    mine = freeze(reached(problem, chosen, *proof))
+    return Plan(plant, requirement, schedule, proof[0], mine, bound, status=status, deviation=proof[1])

@@ -174,7 +174,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
-                search.restore(part.sample, mu, gains)
+                search.directions[part.sample].add(mu, search.evaluate(part.sample, mu, gains))
         if asked.timing_tolerance and (noise is None or not is_enough(noise, added(search, asked, known), KEPT_ROOM)):
             return False
         tops = []

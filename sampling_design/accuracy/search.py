@@ -262,10 +262,6 @@ class GainSearch:
         ends = np.array([adversary.end for adversary in self.adversaries[j]]).reshape(-1, self.system.D.size)
         return np.asarray(opened.below + np.max(np.abs(ends @ opened.mu.T), axis=0, initial=0.0))
 
-    def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
-        """Evaluate given gains for a direction after sample j; no solver."""
-        self.directions[j].add(mu, self.evaluate(j, mu, gains))
-
     def row(self, row: Array, rtol: float, most: int) -> RowSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""
         found = self.opened(row)

@@ -103,7 +103,10 @@ class AccuracyOracle:
         worst, found = self._deviations(chosen)
         spans = self.spans(chosen)
         order = sorted(spans, key=lambda span: -span.length)[: LONGEST if longest and turns else None] if goals else []
-        depths = self._depths(chosen, order[0].last, above) if order else []
+        depths = [self.back] if order else []  # a shorter past refutes, too, and is all that most choices need
+        if depths and above < np.inf and self.back:
+            large = in_stages(self.discrete, self._knots(chosen, order[0].last, self.back))
+            depths = [self.back // share for share in SHALLOW if large] + depths
         for back in depths:
             known: set[bytes] = set()
             for span in order:
@@ -152,12 +155,6 @@ class AccuracyOracle:
     def _holds(self, span: GridSpan, end: int) -> bool:
         """Whether a step lies in a stretch, up to whole periods."""
         return (end - span.last - span.begin) % self.problem.steps <= span.length - span.begin
-
-    def _depths(self, chosen: Mask, last: int, above: float) -> list[int]:
-        """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
-        if above == np.inf or not self.back or not in_stages(self.discrete, self._knots(chosen, last, self.back)):
-            return [self.back]
-        return [self.back // share for share in SHALLOW] + [self.back]
 
     def _deviations(self, chosen: Mask) -> tuple[float, list[HiddenTrajectory]]:
         """Worst ratio of the goals that are standard deviations, and tangents there."""

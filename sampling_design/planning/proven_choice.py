@@ -158,16 +158,11 @@ def sparse(problem: PlanProblem) -> Mask:
                 if _filled(problem, chosen, i):
                     break
         if int(chosen.any(axis=1).sum()) == count:
-            return _filled_up(problem, chosen)
+            for _ in problem.price:  # every sensor that there is room and money for, the cheapest first
+                for i in np.flatnonzero(chosen.any(axis=1)).tolist():
+                    _filled(problem, chosen, i)
+            return chosen
     raise InfeasibleRequirementError("No measurement is admissible within `cost_limit` and hours.", "cost_limit")
-
-
-def _filled_up(problem: PlanProblem, chosen: Mask) -> Mask:
-    """The samples of a choice with every sensor that there is room and money for, the cheapest first."""
-    for _ in range(chosen.shape[1]):
-        for i in np.flatnonzero(chosen.any(axis=1)).tolist():
-            _filled(problem, chosen, i)
-    return chosen
 
 
 def _filled(problem: PlanProblem, chosen: Mask, i: int) -> bool:

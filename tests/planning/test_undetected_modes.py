@@ -5,7 +5,9 @@ import pytest
 
 from sampling_design import PlanRequirement, Plant, guaranteed_accuracy, plan_samples
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, UndecidedError
+from sampling_design.planning import discrete_plant
 from sampling_design.planning import plan as room
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import discretize, hidden_at
 from sampling_design.planning.problem import pose_plan
 
@@ -150,3 +152,14 @@ def test_no_sensor_is_paid_for_what_no_goal_asks():
     wanted = PlanRequirement({"tide": 0.4}, period=12.0, grid="2 h", w_bound=0.01, sensors=sensors)
     found = plan_samples(gauge, wanted, robustness=False, certificate=False, start=False)
     assert (found.cost, found.schedule.outputs[:, 1].any(), found.status) == (3.0, False, "complete")
+
+
+def test_rows_on_the_grid_are_worked_out_once_for_all_choices(monkeypatch):
+    worked_out, evenly = [], discrete_plant._even
+    monkeypatch.setattr(discrete_plant, "_even", lambda rows: worked_out.append(rows.ndim) or evenly(rows))
+    problem = pose_plan(LEVEL_AND_RHYTHM, wanted())
+    oracle = AccuracyOracle(problem, discretize(problem))
+    choices = np.eye(problem.steps, dtype=bool)
+    found = [oracle.hidden(chosen[:, None]) for chosen in [*choices, np.ones(problem.steps, dtype=bool)]]
+    assert [each is None for each in found] == [False] * problem.steps + [True]
+    assert worked_out.count(3) == 2  # outputs and goals, at every step

@@ -221,11 +221,11 @@ def first_sentence(thing: object) -> str:
 
 def commands_table() -> list[str]:
     """Return the table of the commands, each with a link to its flags."""
-    from sampling_design.cli.app import COMMANDS
+    from sampling_design.cli.app import lines as lines_of_commands
 
     lines = ["| command | does |", "|---|---|"]
-    for name, command in COMMANDS.items():
-        lines.append(f"| [`{name}`](../command-line.md#sampling-design-{name}) | {command.line} |")
+    for name, line in lines_of_commands().items():
+        lines.append(f"| [`{name}`](../command-line.md#sampling-design-{name}) | {line} |")
     return [*lines, ""]
 
 

@@ -13,25 +13,26 @@ import typer
 
 import sampling_design as sd
 from sampling_design.accuracy.accuracy_record import Accuracy
+from sampling_design.accuracy.bounds import NoiseBound
 from sampling_design.accuracy.projection import Projection
 from sampling_design.accuracy.sample_counts import AccuracyByCount
 from sampling_design.cli import files
-from sampling_design.cli.plan import PlantFile, schedule_for
-from sampling_design.cli.settings import Settings, TimingOption, numbers, record_table, timing, timing_number
+from sampling_design.cli.options import (
+    UNBOUNDED,
+    BoundOptions,
+    NoLimit,
+    PlantFile,
+    RelativeWidth,
+    TimingOption,
+    listed,
+    numbers,
+    timing_in_numbers,
+)
+from sampling_design.cli.settings import Settings, record_table
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import positive, whole
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sensor import Sensor
-
-NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
-
-WhiteDisturbance = Annotated[
-    str | None,
-    typer.Option(help="Intensity of white w [its unit squared times time]: standard deviations beside."),
-]
-WhiteNoise = Annotated[
-    str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")
-]
 
 
 @dataclass(frozen=True)
@@ -60,36 +61,34 @@ BY_COUNT = "sampling-design/accuracy-by-count/1"  # the format of its JSON
 ScheduleOrCounts = Annotated[
     Path | None, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none with --samples.")
 ]
+WantedError = Annotated[
+    str | None, typer.Option("--tolerance", help="Wanted error of each row, one number or with commas between.")
+]
+WhiteDisturbance = Annotated[
+    str | None,
+    typer.Option(help="Intensity of white w [its unit squared times time]: standard deviations beside."),
+]
+WhiteNoise = Annotated[
+    str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")
+]
+Pair = Annotated[
+    str, typer.Option("--projection", help="Two states, FIRST,SECOND: the exact set of errors, drawn with -o.")
+]
 
 
 def accuracy(
     settings: Settings,
     plant_file: PlantFile,
     schedule_file: ScheduleOrCounts = None,
-    w_bound: Annotated[
-        str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {NUMBERS}")
-    ] = None,
-    v_bound: Annotated[
-        str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {NUMBERS}")
-    ] = None,
+    typed: BoundOptions = UNBOUNDED,
     of: Annotated[str, typer.Option(help="Names of states or outputs, with commas between. Default: all states.")] = "",
-    rtol: Annotated[float, typer.Option(help="Relative width of the brackets.")] = 0.01,
-    initial_error: Annotated[
-        str | None,
-        typer.Option("--initial-error", help=f"Bound on the error at the start of a schedule that ends. {NUMBERS}"),
-    ] = None,
-    tolerance: Annotated[
-        str | None, typer.Option("--tolerance", help="Wanted error of each row, one number or with commas between.")
-    ] = None,
+    rtol: RelativeWidth = 0.01,
+    tolerance: WantedError = None,
     w_intensity: WhiteDisturbance = None,
     v_deviation: WhiteNoise = None,
-    projection: Annotated[
-        str, typer.Option("--projection", help="Two states, FIRST,SECOND: the exact set of errors, drawn with -o.")
-    ] = "",
+    projection: Pair = "",
     times: TimeOptions = ON_TIME,
-    budget: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="After which brackets stay as they are. Default: none.")
-    ] = None,
+    budget: NoLimit = None,
 ) -> None:
     """Bracket the least error that any estimator can guarantee, at the worst time of a schedule.
 
@@ -98,34 +97,29 @@ def accuracy(
     Example: sampling-design accuracy examples/plants/oscillator.toml out/schedule.csv --w 0.02 --v 0.4
     """
     plant = files.plant(plant_file)
-    names = [name.strip() for name in of.split(",") if name.strip()]
-    w = numbers("--w-bound", w_bound, plant.disturbances.names)
-    v = _noise(plant, numbers("--v-bound", v_bound, plant.outputs.names), times.result_delay)
+    bounds, names = typed.of(plant), listed(of)
+    v = _noise(plant, bounds["v_bound"], times.result_delay)
     seconds = None if budget is None else positive("budget", budget)
-    by_count = partial(sd.accuracy.accuracy_by_count, plant, w_bound=w, v_bound=v, rtol=rtol, budget=seconds)
-    idle = {"SCHEDULE": schedule_file, "--initial-error": initial_error, "--tolerance": tolerance}
-    idle |= {"--w-intensity": w_intensity, "--v-deviation": v_deviation, "--projection": projection or None}
+    w, rows = bounds["w_bound"], names or None
     if times.samples is not None or times.period is not None:
-        _finish_counts(settings, times, idle, partial(by_count, of=names or None))
+        idle = {"SCHEDULE": schedule_file, "--initial-error": typed.initial_error, "--tolerance": tolerance}
+        idle |= {"--w-intensity": w_intensity, "--v-deviation": v_deviation, "--projection": projection or None}
+        by_count = partial(
+            sd.accuracy.accuracy_by_count, plant, w_bound=w, v_bound=v, of=rows, rtol=rtol, budget=seconds
+        )
+        _finish_counts(settings, times, idle, by_count)
         return
     schedule = _schedule(settings, plant, schedule_file)
     pair = _pair(projection)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy") as progress:
         found = sd.guaranteed_accuracy(
-            plant,
-            schedule,
-            w_bound=w,
-            v_bound=v,
-            of=names or None,
-            rtol=rtol,
-            initial_error=numbers("--initial-error", initial_error, plant.states.names),
+            plant, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol, budget=seconds,
+            initial_error=bounds["initial_error"],
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
-            timing_tolerance=timing(times.timing_tolerance or "0", timing_number),
-            budget=seconds,
-            progress=progress,
-        )
+            timing_tolerance=timing_in_numbers(times.timing_tolerance), progress=progress,
+        )  # fmt: skip
         cast = None if pair is None else found.projection(*pair)
     _finish(settings, found, cast, wanted)
 
@@ -136,7 +130,7 @@ def _schedule(settings: Settings, plant: sd.Plant, path: Path | None) -> AnySche
         raise ArgumentError(
             "`SCHEDULE` is missing: give its file, or --samples 0,4,8 --period 7 for evenly spaced ones."
         )
-    return schedule_for(settings, plant, path)
+    return files.schedule_for(settings, plant, path)
 
 
 def _finish_counts(
@@ -150,27 +144,21 @@ def _finish_counts(
     if times.samples is None or times.period is None:
         lost = "--samples" if times.samples is None else "--period"
         raise ArgumentError(f"`{lost}` is missing: so many samples in each period, as --samples 0,4,8 --period 7.")
-    counts = numbers("--samples", times.samples)
-    each = counts if isinstance(counts, list) else [counts]
-    found = by_count([whole("samples", count) for count in each], period=positive("period", times.period))
-    folder, data = settings.folder(), {"format": BY_COUNT, **found.to_dict()}
-    if folder is not None:
-        settings.write_json(folder / "accuracy.json", data)
-    settings.show(data, record_table(found), found.explain())
+    counts = np.atleast_1d(np.asarray(numbers("--samples", times.samples))).tolist()
+    found = by_count([whole("samples", count) for count in counts], period=positive("period", times.period))
+    settings.finish(found, {"format": BY_COUNT, **found.to_dict()}, "accuracy")
     if not found.closed:
         raise typer.Exit(3)
     if np.isinf(found.upper[-1]).any():
         raise typer.Exit(1)
 
 
-def _noise(
-    plant: sd.Plant, bound: float | list[float] | None, result_delay: str | None
-) -> float | list[float] | dict[str, Sensor] | None:
+def _noise(plant: sd.Plant, bound: NoiseBound, result_delay: str | None) -> NoiseBound:
     """Bounds on the noise; where results come later, as the terms of each sensor."""
     delay = numbers("--result-delay", result_delay, plant.outputs.names)
     if delay is None:
         return bound
-    both = (each if isinstance(each, list) else [each] * plant.n_outputs for each in (bound, delay))
+    both = (np.broadcast_to(np.asarray(each), plant.n_outputs).tolist() for each in (bound, delay))
     return {
         name: Sensor(noise_bound=size, result_delay=out)
         for name, size, out in zip(plant.outputs.names, *both, strict=True)
@@ -179,16 +167,14 @@ def _noise(
 
 def _finish(settings: Settings, found: Accuracy, cast: Projection | None, wanted: list[float] | None) -> None:
     """Write, draw and print; the exit code."""
-    folder, data = settings.folder(), found.to_dict()
+    data, text = found.to_dict(), found.explain()
     if cast is not None:
         data["projection"] = cast.to_dict()
-    if folder is not None:
-        settings.write_json(folder / "accuracy.json", data)
-        settings.draw(found, folder / "accuracy.png", tolerance=wanted)
-        if cast is not None:
-            settings.draw(cast, folder / "projection.png")
+        text += f" {cast.explain()}"
+        settings.draw(cast, "projection")
+    settings.write_json(data, "accuracy")
+    settings.draw(found, "accuracy", tolerance=wanted)
     missed = [] if wanted is None else [k for k, most in enumerate(wanted) if not found.upper[k] <= most]
-    text = found.explain() + ("" if cast is None else f" {cast.explain()}")
     for k in missed:
         impossible = found.lower[k] > (wanted or [])[k]
         text += f" {found.rows.names[k]} {'cannot keep' if impossible else 'is not proven to keep'} its tolerance."
@@ -201,7 +187,7 @@ def _finish(settings: Settings, found: Accuracy, cast: Projection | None, wanted
 
 def _pair(text: str) -> tuple[str, str] | None:
     """Two names."""
-    names = [name.strip() for name in text.split(",") if name.strip()]
+    names = listed(text)
     if names and len(names) != 2:
         raise ArgumentError(f"`--projection` must be two names with a comma between, got {text!r}.")
     return (names[0], names[1]) if names else None
@@ -209,9 +195,7 @@ def _pair(text: str) -> tuple[str, str] | None:
 
 def _wanted(value: float | list[float] | None, rows: int) -> list[float] | None:
     """A tolerance for each row."""
-    if value is None:
-        return None
-    each = value if isinstance(value, list) else [value] * rows
-    if len(each) != rows:
+    each = [] if value is None else np.ravel(value).tolist()
+    if len(each) > 1 and len(each) != rows:
         raise ArgumentError(f"`--tolerance` must be one number or one for each of {rows} rows, got {len(each)}.")
-    return each
+    return None if value is None else (each * rows)[:rows]

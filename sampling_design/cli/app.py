@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -15,100 +17,46 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-class Command(NamedTuple):
-    """Where a command stands and what one line of help says of it: the first sentence of its docstring."""
-
-    place: str
-    line: str
-
-
 PANELS = {
-    "When to sample": {
-        "new": Command(
-            "new.new",
-            "Write a first plant and requirement, with comments, from flags; at a terminal, what is missing is asked.",
-        ),
-        "info": Command(
-            "plan.info", "Show a plant: its modes, which of them must be observable, and how many samples that takes."
-        ),
-        "design": Command(
-            "plan.design", "Design an endless periodic schedule, with its proven sigma and a bound that none can beat."
-        ),
-        "pareto": Command("what_if.pareto", "Design for several counts: what more samples buy."),
-        "losses": Command(
-            "what_if.losses",
-            "Design, then say what the loss of each single sample costs: sigma without it, and what none can exceed.",
-        ),
-        "plan": Command(
-            "planning.plan",
-            "Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.",
-        ),
-        "next": Command(
-            "planning.next_sample",
-            "Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.",
-        ),
-        "explore": Command(
-            "explore.explore",
-            "Drag samples on a time line in the browser and see what they prove; Save writes schedule.csv to -o DIR.",
-        ),
-    },
-    "What does it prove": {
-        "sigma": Command(
-            "plan.sigma",
-            "Prove how observable a plant is along a schedule: the least sigma over every real window position.",
-        ),
-        "worst-case": Command(
-            "what_if.worst_case",
-            "Bracket the least sigma over every schedule with COUNT samples, SPACING apart, in each WINDOW.",
-        ),
-        "certify": Command(
-            "prove.certify", "Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family."
-        ),
-        "verify": Command("prove.verify", "Check a certificate or an interval from its data alone."),
-        "robustness": Command(
-            "what_if.robustness",
-            "Say how late samples may come, and how many may be lost, before a certificate no longer holds.",
-        ),
-        "accuracy": Command(
-            "accuracy.accuracy",
-            "Bracket the least error that any estimator can guarantee, at the worst time of a schedule.",
-        ),
-    },
-    "What is the state": {
-        "estimate": Command(
-            "track.estimate",
-            "Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.",
-        )
-    },
-    "Did the promise hold": {
-        "validate": Command(
-            "track.validate",
-            "Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).",
-        ),
-        "compare": Command(
-            "track.compare",
-            "Compare planned with actual sample times: what came late, what was missed, and what that costs.",
-        ),
-        "thyroid": Command(
-            "thyroid.thyroid",
-            "Repeat the paper's Section VI: hormone concentrations from rare blood samples, against sampling every "
-            "2 hours.",
-        ),
-    },
+    "When to sample": {"new": "new", "design": "info design pareto losses", "plan": "plan next", "explore": "explore"},
+    "What does it prove": {"sigma": "sigma worst-case", "certify": "certify verify robustness", "accuracy": "accuracy"},
+    "What is the state": {"estimate": "estimate"},
+    "Did the promise hold": {"validate": "validate compare", "thyroid": "thyroid"},
 }
-"""The commands, by the question that they answer."""
+"""Files and their commands, by the question that they answer."""
+
+FUNCTIONS = {"next": "next_sample"}
+"""Functions that are not called as their command."""
 
 RENAMED = {"log": "compare", "survive": "robustness"}
 """Commands that were called otherwise; who types the earlier name is told the one of today."""
 
-COMMANDS = {name: command for panel in PANELS.values() for name, command in panel.items()}
+COMMANDS = {name: file for panel in PANELS.values() for file, names in panel.items() for name in names.split()}
+"""File of each command."""
 
 
-def function_of(name: str) -> Callable[..., None]:
+def function_name(command: str) -> str:
+    """Return what the function of a command is called."""
+    return FUNCTIONS.get(command, command.replace("-", "_"))
+
+
+def function_of(command: str) -> Callable[..., None]:
     """Import the function of a command."""
-    module, _, function = COMMANDS[name].place.partition(".")
-    found: Callable[..., None] = getattr(import_module(f"sampling_design.cli.{module}"), function)
+    module = import_module(f"sampling_design.cli.{COMMANDS[command]}")
+    found: Callable[..., None] = getattr(module, function_name(command))
     return found
+
+
+@cache
+def lines() -> dict[str, str]:
+    """Return what one line of help says of each command: the first sentence of its docstring, read, not imported."""
+    folder, said = Path(__file__).parent, dict[str, str]()
+    for file in dict.fromkeys(COMMANDS.values()):
+        for node in ast.parse((folder / f"{file}.py").read_text(encoding="utf-8")).body:
+            match node:
+                case ast.FunctionDef(name=name):
+                    said[name] = " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
+    return {command: said[function_name(command)].split(". ")[0].rstrip(".") + "." for command in COMMANDS}
 
 
 @cache
@@ -128,7 +76,7 @@ class CommandsWhenCalled(TyperGroup):
 
     def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
-        self.commands = {name: TyperCommand(name, help=command.line) for name, command in COMMANDS.items()}
+        self.commands = {name: TyperCommand(name, help=line) for name, line in lines().items()}
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, TyperCommand | None, list[str]]:
         """Return the command that is called, imported."""
@@ -141,9 +89,9 @@ class CommandsWhenCalled(TyperGroup):
 
     def format_commands(self, ctx: object, formatter: Any) -> None:
         """Write the lines of the commands, under the question that they answer."""
-        for title, commands in PANELS.items():
+        for title, panel in PANELS.items():
             with formatter.section(title):
-                formatter.write_dl([(name, command.line) for name, command in commands.items()])
+                formatter.write_dl([(name, lines()[name]) for names in panel.values() for name in names.split()])
 
 
 app = typer.Typer(

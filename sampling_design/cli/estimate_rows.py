@@ -31,7 +31,6 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.estimators.records.measurement_table import time_or_date
-from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
@@ -145,7 +144,7 @@ def followed(
             if each is not None:
                 open_files.enter_context(each)
         counts, last = EstimateCounts(plant.time_unit, kind == "centred", record.origin), None
-        tally = counts if columns is None else columns.counts
+        counted = counts if columns is None else columns.counts
         with settings.progress("estimate") as progress:
             for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):
                 last = some[-1]
@@ -155,26 +154,29 @@ def followed(
                         if each is not None:
                             each.put(block)
                     if envelope is not None:
-                        _take(envelope, block)
+                        flags = np.array([(e.certified, e.failed) for e in some], dtype=bool).T
+                        envelope.add(block.times, block.x, block.around, *flags)
                 if columns is None:
                     for estimate in some:
-                        tally.add(estimate.t, estimate)
+                        counted.add(estimate.t, estimate)
         if columns is not None and folder is not None:
             with AtomicWriter(folder / "estimates.json") as file:
                 columns.write(file, settings.named({}), after)
         if columns is not None and settings.as_json:
             columns.write(sys.stdout, settings.named({}), after)
     if folder is not None:
-        settings.wrote(folder / "estimates.csv")
-        settings.wrote(folder / "estimates.json")
-        if envelope is not None:
-            settings.draw(envelope, folder / "estimates.png", measurements=record)
-        if curve is not None:
-            settings.draw(curve.curve(record), folder / "estimates.png")
+        settings.wrote(folder / "estimates.csv", folder / "estimates.json")
+    if envelope is not None:
+        settings.draw(envelope, "estimates", measurements=record)
+    if curve is not None:
+        settings.draw(curve.curve(record), "estimates")
     assert last is not None
-    shown = rows_table("EstimateRecord", tally.rows())
-    settings.show_tables(shown, _last(plant, last, kind, record.origin), f"{guarantee} {tally.explain()}")
-    return tally
+    settings.show_tables(
+        rows_table("EstimateRecord", counted.rows()),
+        _last(plant, last, kind, record.origin),
+        f"{guarantee} {counted.explain()}",
+    )
+    return counted
 
 
 def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.Measurements) -> str:
@@ -189,18 +191,8 @@ def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.
     return kind
 
 
-def _take(envelope: EstimateEnvelope, block: EstimateBlock) -> None:
-    """Take in estimates as they are written."""
-    certified, failed = np.array([(e.certified, e.failed) for e in block.estimates], dtype=bool).T
-    envelope.add(block.times, block.x, block.around, certified, failed)
-
-
-def _own_radii(estimate: Estimate, kind: str) -> Array:
-    return estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii
-
-
 def _last(plant: sd.Plant, estimate: Estimate, kind: str, origin: str) -> RichTable:
-    radii, labels = _own_radii(estimate, kind), plant.states.labels()
+    radii, labels = estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii, plant.states.labels()
     rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
     when = time_or_date(origin, estimate.t, plant.time_unit)
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

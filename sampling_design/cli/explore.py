@@ -6,12 +6,12 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from sampling_design.cli import files
-from sampling_design.cli.accuracy import NUMBERS
-from sampling_design.cli.plan import schedule_for
-from sampling_design.cli.settings import Settings, numbers
+from sampling_design.cli.options import DisturbanceBound, NoiseBound, numbers
+from sampling_design.cli.settings import Settings
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import PlanRequirement
@@ -32,10 +32,8 @@ def explore(
     schedule_file: Annotated[
         Path | None, typer.Option("--schedule", metavar="FILE", help="Schedule to begin with; default: saved, or even.")
     ] = None,
-    w_bound: Annotated[
-        str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {NUMBERS}")
-    ] = None,
-    v_bound: Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the noise v. {NUMBERS}")] = None,
+    w_bound: DisturbanceBound = None,
+    v_bound: NoiseBound = None,
     tolerance: Annotated[str | None, typer.Option(help="Error of each state that would do, commas between.")] = None,
     scene: Annotated[str | None, typer.Option(help="A ready-made scene for lectures, instead of files.")] = None,
     port: Annotated[int, typer.Option(help="Port on this machine; 0 takes a free one.")] = 0,
@@ -56,7 +54,7 @@ def explore(
         explorer.folder = settings.folder()
     else:
         plant, requirement = _wanted(settings, plant_file, requirement_file)
-        schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
+        schedule = None if schedule_file is None else files.schedule_for(settings, plant, schedule_file)
         if schedule is not None and not schedule.endless:
             raise ArgumentError(
                 f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period."
@@ -68,7 +66,7 @@ def explore(
             schedule,
             w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
             v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
-            tolerance=[wanted] if isinstance(wanted, float) else wanted,
+            tolerance=None if wanted is None else np.ravel(wanted),
             folder=settings.folder(),
         )
 

@@ -62,14 +62,23 @@ _WRITTEN = {
 
 def plant(path: Path) -> Plant:
     """The plant of a file, or of a plan."""
-    held = plan_in(path)
-    return _read("plant", sd.read_plant, path) if held is None else held.plant
+    whole = plan_in(path)
+    return _read("plant", sd.read_plant, path) if whole is None else whole.plant
 
 
 def schedule(path: Path) -> AnySchedule:
     """The schedule of a file, or of a plan."""
-    held = plan_in(path)
-    return _read("schedule", sd.read_schedule, path) if held is None else held.schedule
+    whole = plan_in(path)
+    return _read("schedule", sd.read_schedule, path) if whole is None else whole.schedule
+
+
+def schedule_for(settings: Settings, plant: Plant, path: Path) -> AnySchedule:
+    """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
+    found = schedule(path)
+    if found.time_unit in (None, plant.time_unit):
+        return found
+    settings.notice(f"{path}: times in {found.time_unit} are converted to {plant.time_unit}.")
+    return found.in_unit(plant.time_unit)
 
 
 def plan_in(path: Path | None) -> Plan | None:
@@ -120,6 +129,31 @@ def measurements(
 def certificate(path: Path, about: Plant | None) -> SampledCertificate | DetectabilityCertificate:
     """The certificate of a file."""
     return _read("certificate", lambda where: sd.read_certificate(where, about), path)
+
+
+def sampling_certificate(path: Path, about: Plant) -> SampledCertificate:
+    """The certificate of a file, if it is about samples of this plant."""
+    found = certificate(path, about)
+    if isinstance(found, sd.certificates.DetectabilityCertificate):
+        raise ArgumentError(
+            f"`CERTIFICATE` {path} proves that the plant is detectable, which promises nothing about samples: "
+            "make one with `certify PLANT SCHEDULE`."
+        )
+    return found
+
+
+def check_origins(record: Measurements, schedule: AnySchedule) -> None:
+    """Refuse to lay dates over times that have none, or the other way round: nobody knows where they belong."""
+    if record.origin and schedule.origin is None:
+        raise ArgumentError(
+            "`MEASUREMENTS` hold dates and `SCHEDULE` does not say which date its time 0 is: "
+            "give it one (design --start DATE, or origin=DATE in the first line of the file)."
+        )
+    if schedule.origin is not None and not record.origin:
+        raise ArgumentError(
+            f"`SCHEDULE` has its time 0 at {schedule.origin} and `MEASUREMENTS` hold times without dates: "
+            "give the file a column `date`, or the schedule no origin."
+        )
 
 
 def holds_interval(path: Path) -> bool:

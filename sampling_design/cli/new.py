@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 import sampling_design as sd
+from sampling_design.cli.options import listed
 from sampling_design.cli.requirement_flags import (
     RequirementFlags,
     by_name,
@@ -89,10 +90,7 @@ class PlantModes:
             raise ArgumentError(
                 "`new` needs to know what moves: give --oscillation PERIODS, --decay or --half-life TIMES, or both."
             )
-        sensors, names, units = (
-            [each.strip() for each in text.split(",") if each.strip()]
-            for text in (self.sensors, self.names, self.units)
-        )
+        sensors, names, units = map(listed, (self.sensors, self.names, self.units))
         return sd.plants.plant_of_modes(
             oscillations, self.decays, level=self.level, sensors=sensors, units=units, names=names,
             time_unit=self.unit, name=self.name,

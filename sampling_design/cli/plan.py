@@ -1,250 +1,176 @@
-"""Commands that choose and judge schedules: info, design, sigma."""
+"""Commands that make a calendar and say when to sample next: plan, next."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.table import Table as RichTable
+from rich.table import Table
 
 import sampling_design as sd
-from sampling_design.checkers.strict import is_table
+from sampling_design.accuracy.readings import PartialReading, as_typed
 from sampling_design.cli import files
-from sampling_design.cli.settings import (
-    Settings,
-    TimingOption,
-    end_bracket,
-    end_unobservable,
-    record_table,
-    table,
-    timing,
-    timing_number,
-)
-from sampling_design.design.schedule_design import ScheduleDesign
+from sampling_design.cli.options import TimingOption, timing
+from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.count.default_window import default_window
-from sampling_design.observability.sigma_bracket import coordinates_in
-from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.functional import split_needed, weighed_over
-from sampling_design.plants.modes import ModalSplit
-from sampling_design.records.checks import positive
-from sampling_design.records.record import short
-from sampling_design.schedules.family import AnySchedule
+from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.plan_record import Plan
+from sampling_design.records.checks import number
+from sampling_design.schedules.opening import WEEK
 from sampling_design.schedules.time_stamps import parse_date
 
-PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
-ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
 
-SECONDS_BOUGHT = 1.0
-"""What `design` may take to say what samples buy, where none are needed."""
+def _duration(text: str) -> float | str:
+    """A number, or text with a unit, such as "15 min"."""
+    return float(text) if text.replace(".", "", 1).isdecimal() else text
 
 
-def info(
+def plan(
     settings: Settings,
-    plant_file: PlantFile,
-    window: Annotated[float | None, typer.Option(help="Window length for the counts [plant's time unit].")] = None,
+    plant_file: Annotated[
+        Path, typer.Argument(metavar="PLANT", help="Plant file, or a plan requirement that holds its plant.")
+    ],
+    requirement_file: Annotated[
+        Path | None, typer.Argument(metavar="REQUIREMENT", help="Plan requirement (.toml).")
+    ] = None,
+    periods: Annotated[int, typer.Option(help="Periods that the calendar is written out for.")] = 4,
+    search_seconds: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS",
+            help="Work of the search, as seconds of a core; what follows may take as much again, and 2 s.",
+        ),
+    ] = 60.0,
+    timing_tolerance: TimingOption = None,
+    person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
+    compare: Annotated[
+        Path | None, typer.Option(metavar="PLAN", help="Another plan (plan.json) to set beside this one.")
+    ] = None,
 ) -> None:
-    """Show a plant: its modes, which of them must be observable, and how many samples that takes.
+    """Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.
 
-    With -o DIR: info.json.
+    With -o DIR: calendar (plan.ics), sheet, form to fill in, picture, and files for the other commands; the page "From
+    opening hours to a calendar" of the documentation goes through them. Ctrl-C ends the search: files of the best plan
+    that it holds are written, if there is one (exit code 130).
 
-    Example: sampling-design info examples/plants/oscillator.toml
+    Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
-    plant = settings.part(files.plant(plant_file))
-    split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
-    tables: list[RichTable | str] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
-    data: dict[str, object] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
-    if split.retained.n_states:
-        count = sd.zero_count_bound(split.retained, window_length(settings, split, window))
-        tables += [record_table(count), count.explain()]
-        left = plant.n_states - split.retained.n_states
-        if left:
-            kept = split.retained.n_states
-            means = "its one retained direction" if kept == 1 else f"its {kept} retained directions"
-            others, counts = f"The other {left} decay by themselves and need", "some of them are counted too"
-            if left == 1:
-                others, counts = "The other one decays by itself and needs", "it may be counted too"
-            tables.append(
-                f"To determine the state means here: {means}. {others} no samples; with a larger --decay-rate {counts}."
-            )
-        data["counts"] = count.to_dict()
+    requirement, plant = files.plan_requirement(plant_file, requirement_file)
+    if timing_tolerance is not None:
+        requirement = requirement.replace(timing_tolerance=timing(timing_tolerance, _duration))
+    other = None if compare is None else files.plan(compare)
+    with settings.progress("plan") as progress:
+        result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)
+    dates = plan_dates(result, periods) if requirement.calendar is not None and result.keeps else None
     folder = settings.folder()
     if folder is not None:
-        settings.write_json(folder / "info.json", data)
-    settings.show(data, *tables)
+        paths, notes = sd.planning.write_plan(result, folder, dates, person=person)
+        settings.wrote(*paths, notes=notes)
+        settings.draw(result, "plan")
+    comparison = None if other is None else other.compare(result, ("before", "now"))
+    if comparison is not None:
+        settings.write_json(comparison.to_dict(), "comparison")
+        settings.draw(comparison, "comparison")
+    tables: list[Table | str] = [record_table(result), _times(result), result.explain()]
+    if dates is not None and dates.exceptions:
+        tables += [record_table(dates), dates.explain()]
+    if comparison is not None:
+        lines = [[label, *said] for label, said in comparison.lines()]
+        tables += [table("Comparison", ["", *comparison.names], lines), comparison.explain()]
+    if folder is not None:
+        file = folder / "plan.json"
+        first = " --initial-error ERROR" if result.error_bounds["initial_error"] is None else ""
+        tables += [
+            f"Next: sampling-design next {file}",
+            f"Next: sampling-design estimate {file} MEASUREMENTS.csv{first} -o {folder}",
+        ]
+    settings.show(result.to_dict(), *tables)
+    if not result.keeps and requirement.aim == "cheapest":
+        raise typer.Exit(3)
 
 
-def window_length(
-    settings: Settings, split: ModalSplit, given: float | None, schedule: AnySchedule | None = None
-) -> float:
-    """Return the window that was given, or the plant's default with a notice that says so.
-
-    Of a `schedule` it is no shorter than one longest gap for each state: else most windows would hold too few samples.
-    """
-    if given is not None:
-        return positive("window", given)
-    length = default_window(split) or 1.0
-    if schedule is not None:
-        longest = schedule.d_max if schedule.endless else float(np.max(schedule.gaps, initial=0.0))  # from its first on
-        length = max(length, split.retained.n_states * longest)
-    settings.notice(f"--window not given: {short(length)} {split.plant.time_unit} is used.")
-    return length
-
-
-def schedule_for(settings: Settings, plant: sd.Plant, path: Path) -> AnySchedule:
-    """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
-    schedule = files.schedule(path)
-    if schedule.time_unit in (None, plant.time_unit):
-        return schedule
-    settings.notice(f"{path}: times in {schedule.time_unit} are converted to {plant.time_unit}.")
-    return schedule.in_unit(plant.time_unit)
-
-
-def _modes(split: ModalSplit, unit: str) -> RichTable:
-    rows = []
-    for cluster in split.clusters:
-        value = complex(cluster.value)
-        if value.imag < 0:
-            continue  # its conjugate has a row already
-        real = format_eigenvalue(value.real, grain=split.offset)
-        written = f"{real} ± {short(value.imag)}i" if value.imag else real
-        period = short(2 * np.pi / value.imag) if value.imag else "-"
-        part = "retained" if cluster in split.retained_clusters else "left to decay"
-        rows.append([written, str(cluster.multiplicity), str(cluster.index), period, part])
-    return table("Modes", [f"eigenvalue [1/{unit}]", "multiplicity", "index", f"period [{unit}]", "part"], rows)
-
-
-def design(
+def next_sample(
     settings: Settings,
-    plant_file: PlantFile,
-    requirement_file: Annotated[
-        Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
+    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (plan.json).")],
+    measurements_file: Annotated[
+        Path | None, typer.Argument(metavar="MEASUREMENTS", help="What was measured so far (.csv).")
     ] = None,
-    window: Annotated[float | None, typer.Option(help="Window length that must be observable.")] = None,
-    period: Annotated[float | None, typer.Option(help="The schedule repeats after this time.")] = None,
-    spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None,
-    samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
-    target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
-    cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
-    timing_tolerance: TimingOption = None,
-    branches: Annotated[
-        int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
-    ] = None,
-    start: Annotated[
+    now: Annotated[
         str | None,
-        typer.Option(metavar="DATE", help="Date of time 0 (ISO 8601): writes calendar.csv and schedule.ics too."),
+        typer.Option(metavar="DATE", help="Local date, or time passed since the start; default: the last sample."),
     ] = None,
-    zone: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Time zone of --start and of the calendars, as Europe/Berlin; default UTC."),
+    awaited: Annotated[
+        list[str] | None,
+        typer.Option(metavar="'SENSOR DATE'", help="A sample that was taken and whose result is not in; repeat it."),
     ] = None,
 ) -> None:
-    """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
+    """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
 
-    The work ends by itself once the bound is at most 3 % above sigma, or where more cuts help little; Ctrl-C ends it at
-    any time (exit code 130). Files hold what is proven by then.
+    Where one cannot be kept (exit code 1): since when, what is known now, and which sample brings it back soonest. So
+    it is before the first samples of a plan, unless its requirement says what is known then (`initial_error`).
 
-    Example: sampling-design design examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
+    Exit code 3: nothing is proven within `--budget`.
+
+    Example: sampling-design next out/plan.json --now 7
     """
-    plant = files.plant(plant_file)
-    flags: dict[str, object] = {"window": window, "period": period, "spacing": spacing, "samples": samples}
-    flags.update(target_sigma=target_sigma, cost_limit=cost_limit, decay_rate=settings.decay_rate)
-    late = None if timing_tolerance is None else timing(timing_tolerance, timing_number)
-    flags.update(timing_tolerance=late, of=settings.asked_rows)
-    if settings.folder() is None and start is not None:  # said before the design is computed, not after
-        raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
-    if zone is not None and start is None:
-        raise ArgumentError(f"`--zone` {zone} says where --start is local time: give --start DATE with it.")
-    zero = None if start is None else parse_date("--start", start, zone).isoformat()
-    requirement = files.requirement(requirement_file)
-    requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
-    with settings.progress("design") as progress:
-        rng = np.random.default_rng(settings.seed)
-        given = {} if branches is None else {"branches": branches}
-        result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
-    for name, value in result.defaults_used.items():
-        said = [f"{each.replace('_', ' ')} {of}" for each, of in value.items()] if is_table(value) else [value]
-        settings.notice(str(value) if name == "notice" else f"--{name.replace('_', '-')} not given: {said[0]} is used.")
-    _write_design(settings, result, zero, zone)
-    folder, told = settings.folder(), list[str]()
-    if folder is not None and result.schedule is not None and result.sigma > 0:
-        told = [f"Next: sampling-design certify {plant_file} {folder / 'schedule.csv'} -o {folder}"]
-    if result.decay is not None:
-        told = _bought(result, plant_file)
-    settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain(), *told)
-    end_unobservable(result)
+    result = files.plan(plan_file)
+    record = None if measurements_file is None else _record(settings, result, measurements_file)
+    out = [_awaited(settings, result, text) for text in awaited or ()]
+    found = sd.next_sample(result, record, now=_now(settings, result, now), awaited=out, budget=settings.budget)
+    settings.finish(found, found.to_dict(), "next")
+    if not found.keeps:
+        raise typer.Exit(1 if found.proven or found.complete else 3)
 
 
-def _bought(result: ScheduleDesign, plant_file: Path) -> list[str]:
-    """Where no samples are needed: the accuracy without any and with some, and the line for other bounds."""
-    decay, plant, sensors = result.decay, result.split.plant, result.requirement.sensors
-    assert decay is not None
-    known = {name: term.noise_bound for name, term in sensors.items()}
-    noise = list[float]()
-    for name, scale in zip(plant.outputs.names, plant.outputs.scales.tolist(), strict=True):
-        own = known.get(name)
-        noise.append(scale if own is None else own)
-    found = sd.accuracy.accuracy_by_count(
-        plant, decay.counts, period=decay.to_a_tenth, w_bound=plant.disturbances.scales, v_bound=noise,
-        of=result.requirement.of, budget=SECONDS_BOUGHT,
-    )  # fmt: skip
-    which = "the plant's scales, and the noise bounds of its sensors" if sensors else "the plant's scales"
-    line = (
-        f"sampling-design accuracy {plant_file} --samples {','.join(map(str, decay.counts))} "
-        f"--period {decay.to_a_tenth:g} --w-bound W --v-bound V"
-    )
-    return [f"{found.explain()} The bounds are typical sizes: {which}. With your own:", f"Next: {line}"]
+def _record(settings: Settings, result: Plan, path: Path) -> list[tuple[float, list[PartialReading | float], None]]:
+    """The measurements in the time that has passed since the plan's start; dates without a zone are the plan's."""
+    calendar = result.requirement.calendar
+    zone = None if calendar is None else calendar.zone
+    rows = files.measurements(settings, path, result.plant, result.schedule.origin, zone)
+    found = dict[float, list[PartialReading | float]]()
+    for k in np.flatnonzero(rows.measured.any(axis=1)).tolist():
+        y = found.setdefault(float(rows.times[k]), [np.nan] * rows.y.shape[1])
+        for j in np.flatnonzero(np.isfinite(rows.y[k])).tolist():
+            y[j] = 0.0  # whatever was read
+        for each in rows.censored[k] if rows.censored else ():
+            y[each.output] = as_typed(each)
+    return [(t, found[t], None) for t in sorted(found)]
 
 
-def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, zone: str | None) -> None:
-    folder = settings.folder()
-    if folder is None:
-        return
-    settings.write_json(folder / "design.json", result.to_dict())
-    if result.schedule is not None and result.sigma > 0:
-        paths, notes = sd.design.write_design(result, folder, start=zero, zone=zone)
-        for path in paths:
-            settings.wrote(path)
-        for note in notes:
-            settings.notice(note)
-        settings.draw(result, folder / "design.png", origin=zero)
+def _awaited(settings: Settings, result: Plan, text: str) -> tuple[float, str]:
+    """A sensor and when it was read, as `lab 2026-03-02T09:00`."""
+    name, _, when = text.strip().partition(" ")
+    t = _now(settings, result, when.strip() or None, "--awaited")
+    if t is None:
+        raise ArgumentError(f"`--awaited` must be a sensor and when it was read, as 'lab 3.5', got {text!r}.")
+    return t, name
 
 
-def _samples(result: ScheduleDesign) -> list[RichTable | str]:
-    if result.schedule is None:
-        return []
-    schedule, unit = result.schedule, result.schedule.time_unit or ""
-    times = zip(schedule.times, schedule.gaps, strict=True)
-    rows = [[str(i + 1), short(t, 9), short(g)] for i, (t, g) in enumerate(times)]
-    return [table("Samples of one period", ["sample", f"time [{unit}]", f"gap before [{unit}]"], rows)]
+def _now(settings: Settings, result: Plan, text: str | None, flag: str = "--now") -> float | None:
+    """A date, or a number in the plant's time unit."""
+    if text is None:
+        return None
+    calendar = result.requirement.calendar
+    try:
+        return number(flag, float(text))
+    except ValueError:
+        if calendar is None:
+            raise ArgumentError(f"`{flag}` must be a number of {result.plant.time_unit}, got {text!r}.") from None
+    date = parse_date(flag, text, calendar.zone)
+    if datetime.fromisoformat(text).tzinfo is None:
+        settings.notice(f"Dates without a zone are read in {calendar.zone}.")
+    return calendar.elapsed_at(date) / result.minutes(1.0)
 
 
-def sigma(
-    settings: Settings,
-    plant_file: PlantFile,
-    schedule_file: ScheduleFile,
-    window: Annotated[float | None, typer.Option(help="Window length [plant's time unit].")] = None,
-    rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
-    timing_tolerance: TimingOption = None,
-) -> None:
-    """Prove how observable a plant is along a schedule: the least sigma over every real window position.
-
-    Example: sampling-design sigma examples/plants/oscillator.toml out/schedule.csv --window 6.28
-    """
-    plant = settings.part(files.plant(plant_file))
-    schedule = schedule_for(settings, plant, schedule_file)
-    split = split_needed(plant, settings.decay_rate or 0.0)
-    if not split.retained.n_states:
-        settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
-        return
-    length = window_length(settings, split, window, schedule)
-    split = weighed_over(split, length)
-    with settings.progress("sigma") as progress:
-        result = sd.window_sigma(
-            split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous,
-            timing_tolerance=timing(timing_tolerance or "0", timing_number),
-        )  # fmt: skip
-    end_bracket(settings, replace(result, coordinates=coordinates_in(split)), "sigma")
+def _times(result: Plan) -> Table:
+    """The samples of one period."""
+    calendar, unit = result.requirement.calendar, result.plant.time_unit
+    rows, names = [], result.plant.outputs.names
+    form = "%a %H:%M" if result.minutes(result.schedule.period) <= WEEK * 1440 else "%a %d %b %H:%M"
+    for t, mask in zip(result.schedule.times, result.chosen[result.chosen.any(axis=1)], strict=True):
+        when = f"{t:.6g}" if calendar is None else f"{calendar.local(result.minutes(float(t))):{form}}"
+        rows.append([when, ", ".join(name for name, m in zip(names, mask, strict=True) if m)])
+    return table("Samples of one period", [f"time [{unit}]" if calendar is None else "local time", "sensors"], rows)

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 import sampling_design as sd
+from sampling_design.cli.options import listed
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
@@ -79,7 +80,7 @@ def _number_or_text(part: str) -> float | str:
 def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str]) -> dict[str, float]:
     """Values as NAME=VALUE with commas between; one number without a name holds for each of `alone`."""
     found: dict[str, float] = {}
-    for part in (piece.strip() for piece in text.split(",") if piece.strip()):
+    for part in listed(text):
         name, equals, number = part.rpartition("=")
         try:
             value = float(number)
@@ -192,7 +193,7 @@ def plan_requirement(asked: RequirementFlags, plant: sd.Plant, span: float) -> s
             "start": asked.start,
             "zone": asked.zone or "UTC",
             **({} if hours is None else {"hours": hours}),
-            "holidays": [day.strip() for day in asked.holidays.split(",") if day.strip()],
+            "holidays": listed(asked.holidays),
         }
     sensors = {
         name: {"price": prices.get(name, 1.0), **({"noise_bound": noise[name]} if name in noise else {})}

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.models import OptionInfo
@@ -25,42 +25,11 @@ from sampling_design.records.progress import Progress, progress_bar
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from sampling_design.design.schedule_design import ScheduleDesign
-    from sampling_design.observability.windows.window_record import WindowSigma
-    from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
     from sampling_design.plants.plant import Plant
     from sampling_design.records.record import Record
-    from sampling_design.records.workers import Workers
 
 
 T = TypeVar("T")
-
-COMMON_FLAGS: dict[str, tuple[object, object]] = {
-    "as_json": (Annotated[bool, typer.Option("--json", help="Print the result as JSON.")], False),
-    "output": (Annotated[Path | None, typer.Option("-o", "--output", help="Folder for files.", metavar="DIR")], None),
-    "seed": (Annotated[int, typer.Option(help="Seed of everything random.")], 0),
-    "quiet": (Annotated[bool, typer.Option("--quiet", help="No progress, no notices.")], False),
-    "no_picture": (Annotated[bool, typer.Option("--no-picture", help="With -o: all files but the picture.")], False),
-    "budget": (Annotated[float, typer.Option(help="Seconds a search may take.", metavar="SECONDS")], 60.0),
-    "decay_rate": (
-        Annotated[
-            float | None,
-            typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit]."),
-        ],
-        None,
-    ),
-    "of": (
-        Annotated[
-            str | None,
-            typer.Option(help="Only these rows of the state: names of states or outputs, with commas between."),
-        ],
-        None,
-    ),
-    "version": (
-        Annotated[bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)],
-        False,
-    ),
-}
 
 ONLY: dict[str, tuple[str, ...]] = {
     "seed": ("design", "pareto", "losses", "validate", "thyroid"),
@@ -103,14 +72,23 @@ class Settings:
     """The common flags of one call, with the two streams: results on stdout, all else on stderr."""
 
     command: str = ""
-    as_json: bool = False
-    output: Path | None = None
-    seed: int = 0
-    quiet: bool = False
-    no_picture: bool = False
-    budget: float = 60.0
-    decay_rate: float | None = None
-    of: str | None = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for files.", metavar="DIR")] = None
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no notices.")] = False
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="With -o: all files but the picture.")] = False
+    budget: Annotated[float, typer.Option(help="Seconds a search may take.", metavar="SECONDS")] = 60.0
+    decay_rate: Annotated[
+        float | None,
+        typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit]."),
+    ] = None
+    of: Annotated[
+        str | None,
+        typer.Option(help="Only these rows of the state: names of states or outputs, with commas between."),
+    ] = None
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)
+    ] = False
     files: list[Path] = field(default_factory=list)
 
     def notice(self, text: str) -> None:
@@ -132,7 +110,7 @@ class Settings:
         return self.output
 
     @property
-    def asked_rows(self) -> list[str] | None:
+    def rows(self) -> list[str] | None:
         """The names after --of; None where all states are meant."""
         return None if self.of is None else [name.strip() for name in self.of.split(",")]
 
@@ -140,32 +118,42 @@ class Settings:
         """Return the plant, or with --of what those rows of its state need."""
         from sampling_design.observability.count.functional import part_for
 
-        part = part_for(plant, self.asked_rows)
+        part = part_for(plant, self.rows)
         if part is not plant:
             self.notice(part.explain())
         return part
 
-    def wrote(self, path: Path) -> None:
-        """Remember a written file, so that it is named at the end."""
-        self.files.append(path)
+    def wrote(self, *paths: Path, notes: Sequence[str] = ()) -> None:
+        """Remember written files, so that they are named at the end, and say what is to be noted of them."""
+        self.files += paths
+        for note in notes:
+            self.notice(note)
 
-    def draw(self, record: object, path: Path, **beside: Any) -> None:
-        """Draw a record into a file, with what the picture shows beside it, unless --no-picture."""
-        if not self.no_picture:
+    def draw(self, record: object, name: str, **beside: Any) -> None:
+        """Draw a record into the output folder, if there is one, with what the picture shows beside it."""
+        folder = self.folder()
+        if folder is not None and not self.no_picture:
             from sampling_design import plotting  # late: only a picture needs the plotting library
 
-            self.wrote(plotting.save(record, path, **beside))
+            self.wrote(plotting.save(record, folder / f"{name}.png", **beside))
 
     def named(self, data: Mapping[str, object]) -> dict[str, object]:
         """Return `data` with the name of its format first: its own, else that of what this command answers."""
         return {"format": f"sampling-design/{self.command}/1", **data}
 
-    def write_json(self, path: Path, data: Mapping[str, object]) -> None:
-        """Write a result with the name of its format, and remember the file."""
-        with AtomicWriter(path) as file:
-            for piece in json_pieces(self.named(data)):
-                file.write(piece.encode())
-        self.wrote(path)
+    def write_json(self, data: Mapping[str, object], name: str) -> None:
+        """Write a result with the name of its format into the output folder, if there is one."""
+        folder = self.folder()
+        if folder is not None:
+            with AtomicWriter(folder / f"{name}.json") as file:
+                for piece in json_pieces(self.named(data)):
+                    file.write(piece.encode())
+            self.wrote(folder / f"{name}.json")
+
+    def finish(self, record: Record, data: Mapping[str, object], name: str, *tables: Table | str) -> None:
+        """Write what a record holds and show it: its table, others, and what it says in words."""
+        self.write_json(data, name)
+        self.show(data, record_table(record), *tables, record.explain())
 
     def show(self, data: Mapping[str, object], *tables: Table | str) -> None:
         """Print the result on stdout: `data` with --json, else the tables; name the written files on stderr."""
@@ -239,20 +227,16 @@ def _is_number(text: str) -> bool:
 
 def with_common_flags(function: Callable[..., None], command_name: str) -> Callable[..., None]:
     """Give `function(settings, ...)` the common flags in place of its first parameter, and a record's in its place."""
-    asked = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
-    groups = {p.name: p.annotation for p in asked if isinstance(p.annotation, type) and is_dataclass(p.annotation)}
-    own = [flag for p in asked for flag in (_flags(p.annotation) if p.name in groups else [p])]
+    declared = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+    groups = {p.name: p.annotation for p in declared if isinstance(p.annotation, type) and is_dataclass(p.annotation)}
+    own = [flag for p in declared for flag in (_flags(p.annotation) if p.name in groups else [p])]
     flags_of_this = flags_of(command_name)
-    common = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for name, (annotation, default) in ((name, COMMON_FLAGS[name]) for name in flags_of_this)
-    ]
+    common = [COMMON_FLAGS[name] for name in flags_of_this]
 
     @functools.wraps(function)
     def command(**arguments: Any) -> None:
         given = dict(arguments)
         flags = {name: arguments.pop(name) for name in flags_of_this}
-        flags.pop("version")
         try:
             if "seed" in flags:
                 whole("seed", flags["seed"])
@@ -324,103 +308,14 @@ def _whole_number(text: str) -> int:
         raise typer.BadParameter(f"{text!r:.60} is not a whole number.") from None
 
 
-def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | list[float] | None:
-    """None, one number, or numbers with commas between: one for each name, where names are given."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise ArgumentError(f"`{flag}` must be numbers with commas between, got {text!r}.") from None
-    if len(values) > 1 and names and len(values) != len(names):
-        each = f", or {len(names)}: one for each of {', '.join(names)}" if len(names) > 1 else ""
-        raise ArgumentError(f"`{flag}` must be one number{each}, got {text!r}. Decimals have a point, not a comma.")
-    return values if len(values) > 1 else values[0]
-
-
-def timing(text: str, time: Callable[[str], T]) -> T | list[T] | dict[str, T | list[T]]:
-    """How early or late samples may be: TIME or EARLY:LATE, or NAME=either with commas between, one for each output."""
-    if not all(part.strip() for part in re.split("[,:=]", text)):
-        raise ArgumentError(f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,..., got {text!r}.")
-    if "=" not in text:
-        return _early_late(text, time)
-    named = [part.partition("=") for part in text.split(",")]
-    return {name.strip(): _early_late(value, time) for name, _, value in named}
-
-
-def _early_late(text: str, time: Callable[[str], T]) -> T | list[T]:
-    values = [time(part.strip()) for part in text.split(":")]
-    return values if len(values) > 1 else values[0]
-
-
-def timing_number(text: str) -> float:
-    """A time without a unit. Raises ArgumentError if it is no number."""
-    try:
-        return float(text)
-    except ValueError:
-        raise ArgumentError(
-            f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,... in numbers, got {text!r}."
-        ) from None
-
-
-TimingOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TIME",
-        help="How early or late each sample may be: TIME, EARLY:LATE, or NAME=TIME,... for each output by itself.",
-    ),
-]
-"""What is said then holds at all such times."""
-
-
 def _flags(kind: type) -> list[inspect.Parameter]:
     """The fields of a record as flags of their own."""
     hints = get_type_hints(kind, include_extras=True)
     return [
         inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
         for f in fields(kind)
+        if get_origin(hints[f.name]) is Annotated
     ]
 
 
-def end_bracket(settings: Settings, result: WindowSigma | WorstCaseSigma, name: str) -> None:
-    """Write and show a bracket; leave with 3 where it did not close and with 1 where sigma is proven to be nothing."""
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / f"{name}.json", result.to_dict())
-        settings.draw(result, folder / f"{name}.png")
-    settings.show(result.to_dict(), record_table(result), result.explain())
-    proven = result.status == "timing" and result.lower > 0  # for all real times, if not as near as can be
-    if not (result.closed or proven):
-        raise typer.Exit(3)
-    if result.lower == 0:
-        raise typer.Exit(1)
-
-
-def end_unobservable(design: ScheduleDesign) -> None:
-    """Leave with 1 where no schedule sees every state, and with 3 where only none was found."""
-    if not design.sigma > 0:
-        raise typer.Exit(1 if design.upper_bound == 0 else 3)
-
-
-Hands = Annotated[int, typer.Option(help="Processes that share the work (-1: one per core).")]
-Scheduler = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose machines share the work (tcp://host:8786).")
-]
-
-
-@contextmanager
-def workforce(workers: int, scheduler: str | None) -> Iterator[Workers]:
-    """Yield who does the work of a command: this process, several, or the machines of a scheduler."""
-    from sampling_design.records.workers import check_workers, cluster
-
-    if scheduler is None:
-        check_workers(workers)
-        yield None if workers == 1 else workers
-        return
-    if workers != 1:
-        raise ArgumentError("`--workers` and `--scheduler` exclude each other: a scheduler knows its own workers.")
-    client = cluster(scheduler)
-    try:
-        yield client
-    finally:
-        client.close()
+COMMON_FLAGS = {each.name: each for each in _flags(Settings)}

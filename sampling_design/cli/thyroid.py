@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from sampling_design.cli.settings import Settings, record_table
 from sampling_design.records.file_io import write_text
-
-if TYPE_CHECKING:
-    from sampling_design.nonlinear.patient_run import PatientRun
 
 
 class NoiseInterpretation(StrEnum):
@@ -48,35 +44,23 @@ def thyroid(
     path = None if folder is None else folder / "runs.jsonl"
     with settings.progress("thyroid") as progress:
         report = experiment.thyroid_experiment(
-            runs,
-            cases=cases,
-            days=days,
-            seed=settings.seed,
-            degree=degree,
-            path=path,
-            workers=workers,
+            runs, cases=cases, days=days, seed=settings.seed, degree=degree, path=path, workers=workers,
             progress=progress,
-        )
+        )  # fmt: skip
     if folder is not None and path is not None:
         settings.wrote(path)
-        settings.write_json(folder / "thyroid.json", report.to_dict())
+        settings.write_json(report.to_dict(), "thyroid")
         page = report.to_markdown()
         if not settings.no_picture:
-            shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed, degree=degree)
-            page += _figures(settings, folder, shown, cases[0])
+            run = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed, degree=degree)
+            page += f"\nFigures 1 to 3 of the paper, from run 0 ({cases[0]}):\n"
+            (folder / "figures").mkdir(exist_ok=True)
+            for figure in (run.figure(1), run.figure(2), run.figure(3)):
+                name = f"figures/thyroid_figure{figure.number}"
+                settings.draw(figure, name)
+                page += f"\n![{figure.explain()}]({name}.png)\n"
         settings.wrote(write_text(folder / "thyroid.md", page))
     open_points = "Not said in the paper, and what is done instead:\n" + "\n".join(
         f"  {point}: {choice}" for point, choice in report.open_points
     )
     settings.show(report.to_dict(), record_table(report), report.explain(), open_points)
-
-
-def _figures(settings: Settings, folder: Path, shown: PatientRun, case: str) -> str:
-    """Draw the paper's figures, and return what shows them on a page."""
-    page = f"\nFigures 1 to 3 of the paper, from run 0 ({case}):\n"
-    (folder / "figures").mkdir(exist_ok=True)
-    for number in (1, 2, 3):
-        name = f"figures/thyroid_figure{number}.png"
-        settings.draw(shown.figure(number), folder / name)
-        page += f"\n![{shown.figure(number).explain()}]({name})\n"
-    return page

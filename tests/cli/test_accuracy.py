@@ -78,7 +78,7 @@ DECAYING = sd.Plant([[-0.05]], [[1.0]], time_unit="h", states=["level"])
 
 def test_what_samples_buy_is_said_by_the_design_of_a_plant_that_needs_none(shell, tmp_path, monkeypatch):
     """Its numbers are those of the line that it says to type, for the plant's scales."""
-    monkeypatch.setattr("sampling_design.cli.plan.SECONDS_BOUGHT", 60.0)  # however busy the machine
+    monkeypatch.setattr("sampling_design.cli.design.SECONDS_BOUGHT", 60.0)  # however busy the machine
     sd.plants.write_plant(DECAYING, tmp_path / "plant.toml")
     told = shell("design", tmp_path / "plant.toml")
     assert told.code == 0

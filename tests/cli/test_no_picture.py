@@ -3,7 +3,7 @@
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli import track
+from sampling_design.cli import estimate as estimate_command
 from sampling_design.cli.estimate_rows import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
@@ -26,4 +26,6 @@ def test_the_flag_leaves_out_the_picture_and_nothing_else(shell, tmp_path):
 def test_a_tube_without_a_picture_is_refused(tmp_path):
     for settings in (Settings("estimate"), Settings("estimate", output=tmp_path, no_picture=True)):
         with pytest.raises(ArgumentError, match="`--tube` is for the picture: give a folder for it"):
-            track.estimate(settings, tmp_path / "plant.toml", tmp_path / "y.csv", how=EstimateOptions(tube=True))
+            estimate_command.estimate(
+                settings, tmp_path / "plant.toml", tmp_path / "y.csv", how=EstimateOptions(tube=True)
+            )

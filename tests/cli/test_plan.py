@@ -1,308 +1,243 @@
-"""info, design and sigma on the example plants, with right and with wrong input."""
+"""plan: from one file to a plan, its files and its picture."""
 
 import json
-import os
+import math
 import signal
-from contextlib import contextmanager
-from datetime import datetime
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import read_schedule
+from sampling_design.cli.plan import _now, plan
+from sampling_design.cli.plan import next_sample as next_command
 from sampling_design.cli.settings import Settings
+from sampling_design.cli.estimate import ErrorBoundArguments, known_bounds
+from sampling_design.errors import ArgumentError
+from sampling_design.planning.search import PlanSearch
 from tests.cases import few
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PLANTS, REQUIREMENTS = EXAMPLES / "plants", EXAMPLES / "requirements"
+SMALL = """format = "sampling-design/plan-requirement/1"
+period = 6.4
+grid = 0.8
+w_bound = 0.02
+initial_error = 0.05
+[accuracy]
+position = 0.5
+[sensors.position]
+noise_bound = 0.2
+"""
 
 
-def plant(name):
-    return PLANTS / f"{name}.toml"
-
-
-def test_info_lists_modes_and_counts(shell):
-    result = shell("info", plant("satellite"))
-    assert result.code == 0
-    assert "0.00113129i" in result.out
-    assert "samples needed" in result.out
-    assert "--window not given: 5554 s is used." in result.err
-
-
-@pytest.mark.parametrize("start", [0.0, 1.7e9])
-def test_the_default_window_of_a_finite_schedule_counts_from_its_first_sample(shell, tmp_path, start):
-    """It is judged from there on: what passed on the clock before is no gap."""
-    path = sd.schedules.write_schedule(sd.Schedule(start + 3.5 * np.arange(8), time_unit="s"), tmp_path / "s.csv")
-    found = shell("sigma", plant("oscillator"), path)
-    assert found.code == 0
-    assert "--window not given: 7 s is used." in found.err
-
-
-def test_info_as_json_is_one_object(shell, tmp_path):
-    result = shell("info", plant("oscillator"), "--json", "--window", "4", "-o", tmp_path)
-    assert (tmp_path / "info.json").read_text() == result.out
-    data = json.loads(result.out)
-    assert data["counts"]["samples_needed"] == 3
-    assert data["split"]["retained_states"] == 2
-    assert result.err == f"Written: {tmp_path / 'info.json'}\n"
-
-
-def test_info_says_when_nothing_needs_samples(shell):
-    result = shell("info", plant("three_compartment"))
-    assert result.code == 0
-    assert "no samples are needed" in result.out.replace("\n", " ")
-    assert "faster decay" in result.out
-
-
-@pytest.mark.long
-def test_design_writes_table_picture_files_and_dates(shell, tmp_path):
-    folder, start = tmp_path / "out", "2026-01-05T00:00+01:00"
-    result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", folder, "--start", start)
-    assert result.code == 0
-    dated = {"calendar.csv", "schedule.ics"}
-    assert {p.name for p in folder.iterdir()} == {"schedule.csv", "design.json", "design.png"} | dated
-    assert (folder / "schedule.ics").read_bytes().startswith(b"BEGIN:VCALENDAR\r\n")
-    lines = (folder / "calendar.csv").read_text().splitlines()
-    assert sum(line.startswith("2026-01-0") for line in lines) == 12
-    assert (folder / "design.png").read_bytes().startswith(b"\x89PNG")
-    data = json.loads((folder / "design.json").read_text())
-    schedule = read_schedule(folder / "schedule.csv")
-    assert len(schedule) == 12
-    assert schedule.gaps.min() >= 60
-    assert 0 < data["sigma"] <= data["sigma_attained"] <= data["upper_bound"]
-    windows = ("--window", 5564, "--timing-tolerance", 5)
-    judged = json.loads(shell("sigma", plant("satellite"), folder / "schedule.csv", "--json", *windows).out)
-    assert data["coordinates"] == "scaled"  # the plant has scales
-    assert judged["lower"] == pytest.approx(data["sigma"], rel=1e-9)
-    assert judged["upper"] == pytest.approx(data["sigma_attained"], rel=1e-9)
-
-
-@pytest.mark.parametrize(("start", "until"), few([("2026-10-05", "2026-10-25"), ("2026-03-02", "2026-03-29")], 1))
-def test_a_calendar_of_local_hours_never_leaves_them(shell, tmp_path, start, until):
-    """The schedule counts hours that pass: once the clocks are changed, the same samples come at other hours."""
-    sd.plants.write_plant(sd.Plant([[0.0]], [[1.0]], time_unit="h"), tmp_path / "level.toml")
-    wanted = sd.Requirement(window=24.0, period=24.0, samples=2, forbidden=[[0.0, 8.0], [18.0, 24.0]])
-    sd.design.write_requirement(wanted, tmp_path / "hours.toml")
-    dated = ("-o", tmp_path / "out", "--start", start)
-    result = shell("design", tmp_path / "level.toml", tmp_path / "hours.toml", *dated, "--zone", "Europe/Berlin")
-    assert result.code == 0
-    assert f"The clocks of Europe/Berlin change on {until}: schedule.ics ends there" in result.err.replace("\n", " ")
-    text = (tmp_path / "out" / "schedule.ics").read_text()
-    begins = [line.partition("Berlin:")[2] for line in text.splitlines() if line.startswith("DTSTART;")]
-    events = [datetime.strptime(begin, "%Y%m%dT%H%M%S") for begin in begins]
-    assert {8 <= event.hour < 18 for event in events} == {True}
-    days = (datetime.fromisoformat(until) - datetime.fromisoformat(start)).days
-    assert len(events) == text.count("BEGIN:VEVENT") == 2 * days
-    assert "RRULE" not in text
-    shell("design", tmp_path / "level.toml", tmp_path / "hours.toml", *dated, "--zone", "Asia/Kolkata")
-    endless = (tmp_path / "out" / "schedule.ics").read_text()
-    assert endless.count("RRULE:FREQ=DAILY") == 2  # where clocks are never changed
-
-
-def test_design_prints_the_defaults_it_used(shell):
-    result = shell("design", plant("oscillator"), "--branches", 0)
-    assert result.code == 0
-    for word in ("window", "period", "samples", "spacing"):
-        assert f"{word} not given:" in result.err
-    assert shell("design", plant("oscillator"), "--branches", 0, "--quiet").err == ""
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("pixels")
-def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
-    for folder in ("one", "two"):
-        arguments = (
-            "design",
-            plant("oscillator"),
-            "--samples",
-            4,
-            "--branches",
-            2,
-            "-o",
-            tmp_path / folder,
-            "--seed",
-            3,
-        )
-        done = shell(*arguments)
-        assert done.code == 0
-        made = tmp_path / folder / "schedule.csv"
-        assert f"Next: sampling-design certify {plant('oscillator')} {made} -o {tmp_path / folder}" in done.out
-    for name in ("schedule.csv", "design.png"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-
-
-@pytest.mark.long
-def test_design_narrows_the_bound_with_more_branches(shell):
-    arguments = ("design", plant("triple_integrator"), REQUIREMENTS / "triple_integrator.toml", "--json", "--branches")
-    bounds = [json.loads(shell(*arguments, count).out)["upper_bound"] for count in (0, 12)]
-    assert bounds[1] < 0.99 * bounds[0]
-    refused = shell(*arguments, -1)
-    assert refused.code == 2
-    assert "`--branches`" in refused.err
-
-
-def test_a_calendar_needs_a_folder(shell):
-    lonely = shell("design", plant("oscillator"), "--start", "2026-01-05")
-    assert lonely.code == 2
-    assert "needs a folder" in lonely.err
-
-
-def test_flags_override_the_file(shell):
-    data = json.loads(
-        shell("design", plant("oscillator"), REQUIREMENTS / "oscillator.toml", "--samples", 5, "--json").out
+@pytest.mark.parametrize(("complete", "code"), [(True, 1), (False, 3)])
+def test_what_is_not_proven_within_the_budget_is_not_what_cannot_be_kept(shell, tmp_path, monkeypatch, complete, code):
+    asked, made = (
+        [],
+        sd.PlanRequirement({"x": 0.52}, period=8, grid=4, w_bound=0.1, sensors={"y1": {"noise_bound": 0.1}}),
     )
-    assert data["requirement"]["samples"] == {"exactly": 5}
+    plant = sd.Plant([[0.0]], [[1.0]], states=["x"])
+    found = sd.plan_samples(plant, made, certificate=False, robustness=False, start=False)
+    found.save(tmp_path / "plan.json")
+    nothing = replace(sd.next_sample(found, now=1.0), latest=-np.inf, kept_from=np.inf, proven=False, complete=complete)
+    monkeypatch.setattr(sd, "next_sample", lambda *_, budget, **__: asked.append(budget) or nothing)
+    assert shell("next", tmp_path / "plan.json", "--budget", 0.5, "--json").code == code
+    assert asked == [0.5]
 
 
-def test_design_of_a_decaying_plant_names_the_decay_rate(shell, tmp_path):
-    result = shell("design", plant("three_compartment"), "-o", tmp_path)
+@pytest.mark.long
+def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
+    (tmp_path / "wanted.toml").write_text(SMALL)
+    out = tmp_path / "out"
+    brief = ("--search-seconds", 1)
+    result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", out, *brief)
     assert result.code == 0
-    assert "--decay-rate" in result.out
-    assert json.loads((tmp_path / "design.json").read_text())["schedule"] is None
+    assert "keep position within" in " ".join(result.out.split())
+    data = json.loads((out / "plan.json").read_text())
+    assert data["format"] == "sampling-design/plan/1"
+    assert data["reached"][0] <= 0.5
+    assert f"Next: sampling-design next {out / 'plan.json'}" in result.out
+    assert f"Next: sampling-design estimate {out / 'plan.json'} MEASUREMENTS.csv -o {out}" in result.out
+    assert (out / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert shell("accuracy", out / "plant.toml", out / "schedule.csv", "--w", "0.02", "--v", "0.2").code == 0
+    plan_file = tmp_path / "out" / "plan.json"
+    result = shell("next", plan_file, "--now", "0.5", "-o", tmp_path / "out")
+    assert result.code == 0
+    assert "Next sample by " in result.out
+    assert json.loads((tmp_path / "out" / "next.json").read_text())["proven"]
+    other = ("-o", tmp_path / "b", "--compare", plan_file, *brief)
+    again = shell("plan", tmp_path / "out" / "plant.toml", tmp_path / "wanted.toml", *other)
+    assert "Both cost the same" in " ".join(again.out.split())
+    assert (tmp_path / "b" / "comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert set(json.loads((tmp_path / "b" / "comparison.json").read_text())) >= {"before", "now"}
+    wrong = shell("next", plan_file, "--now", "tomorrow")
+    assert wrong.code == 2
+    with pytest.raises(ArgumentError, match="`--now` must be a number of"):
+        next_command(Settings("next"), plan_file, now="tomorrow")
 
 
-def test_sigma_of_a_blind_schedule_is_a_no(shell, tmp_path):
-    (tmp_path / "blind.csv").write_text(
-        "# sampling-design schedule; time_unit=s; period=3.141592653589793\ntime\n0.5\n"
-    )
-    result = shell("sigma", plant("oscillator"), tmp_path / "blind.csv", "--window", "10", "-o", tmp_path)
-    assert result.code == 1
-    assert (tmp_path / "sigma.png").exists()
-
-
-def test_a_schedule_in_another_unit_is_converted_with_a_notice(shell, tmp_path):
-    minutes = 2.0 / 60
-    text = f"# sampling-design schedule; time_unit=min; period={minutes!r}\ntime\n{minutes / 4!r}\n{minutes / 2!r}\n"
-    (tmp_path / "minutes.csv").write_text(text)
-    (tmp_path / "seconds.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.0\n")
-    found = [
-        json.loads(shell("sigma", plant("oscillator"), tmp_path / f"{unit}.csv", "--window", 4, "--json").out)
-        for unit in ("minutes", "seconds")
-    ]
-    assert found[0]["upper"] == pytest.approx(found[1]["upper"])
-    result = shell("sigma", plant("oscillator"), tmp_path / "minutes.csv", "--window", 4)
-    assert "converted to s" in result.err
-
-
-def test_an_impossible_requirement_is_a_no(shell):
-    result = shell("design", plant("oscillator"), "--samples", 9, "--spacing", 1, "--window", 4)
-    assert result.code == 1
-    assert result.err.count("\n") == 1 or "not given" in result.err
-    assert "sampling-design:" in result.err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("info", "nowhere.toml"), "no such file"),
-        (("info", PLANTS), "is a folder, expected a file"),
-        (("info", plant("oscillator"), "--window", "-1"), "`--window` must be positive"),
-        (("info", plant("oscillator"), "--decay-rate", "-1"), "must not be negative"),
-        (("design", plant("oscillator"), "--spacing", "0"), "`--spacing` must be positive"),
-        (("design", plant("oscillator"), plant("oscillator")), "oscillator.toml"),
-        (("sigma", plant("oscillator"), "nowhere.csv"), "no such file"),
-        (("design", plant("oscillator"), "-o", "/proc/nowhere/out"), "cannot be made a folder"),
-    ],
-)
-def test_bad_input_is_one_sentence_and_exit_code_2(shell, arguments, words):
-    result = shell(*arguments)
+def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
+    (tmp_path / "wanted.toml").write_text(SMALL)
+    result = shell("plan", tmp_path / "wanted.toml")
     assert result.code == 2
-    assert words in result.err
-    assert "Traceback" not in result.err
-    assert result.err.strip().splitlines()[-1].startswith("sampling-design: ")
+    assert "`PLANT` is missing" in result.err
+    assert "Did you mean" not in result.err
+    (tmp_path / "plant.toml").write_text("")
+    near = f"Did you mean {tmp_path / 'plant.toml'} {tmp_path / 'wanted.toml'}?"
+    assert near in shell("plan", tmp_path / "wanted.toml").err
+    with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
+        plan(Settings("plan"), tmp_path / "wanted.toml")
 
 
-def test_wrong_usage_is_exit_code_2(shell):
-    result = shell("infos")
-    assert result.code == 2
-    assert "info" in result.err
+def test_an_interrupt_writes_the_files_of_what_the_search_holds(shell, tmp_path, monkeypatch):
+    keep = PlanSearch.keep
 
+    def kept(search, chosen, worst):
+        keep(search, chosen, worst)
+        signal.raise_signal(signal.SIGINT)
 
-def test_version(shell):
-    assert shell("--version").out.startswith("sampling-design ")
-    assert shell("info", "--version").out.startswith("sampling-design ")
-
-
-def test_every_command_teaches_by_an_example(shell):
-    for command in ("info", "design", "sigma"):
-        text = shell(command, "--help").out
-        assert "Example: sampling-design" in text
-
-
-@pytest.mark.parametrize("more", [("-o", "taken"), ("--start", "2026-01-01")])
-def test_where_to_write_is_settled_before_anything_is_designed(shell, tmp_path, monkeypatch, more):
-    (tmp_path / "taken").write_text("a file, no folder")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sampling_design.design_schedule", lambda *_, **__: pytest.fail("designed all the same"))
-    result = shell("design", plant("oscillator"), *more)
-    assert result.code == 2
-    assert "taken" in result.err or "needs a folder" in result.err
-
-
-def test_info_says_what_determining_the_state_means_where_most_of_it_decays(shell, tmp_path):
-    sd.plants.write_plant(sd.Plant(np.diag([0.0, -1.0, -2.0, -3.0]), np.ones((1, 4))), tmp_path / "plant.toml")
-    told = " ".join(shell("info", tmp_path / "plant.toml").out.split())
-    assert "To determine the state means here: its one retained direction. The other 3 decay by themselves" in told
-    sd.plants.write_plant(sd.Plant(np.diag([0.0, 0.1, -3.0]), np.ones((1, 3))), tmp_path / "two.toml")
-    told = " ".join(shell("info", tmp_path / "two.toml").out.split())
-    assert "its 2 retained directions. The other one decays by itself and needs no samples" in told
-    assert "To determine the state means" not in shell("info", EXAMPLES / "plants" / "oscillator.toml").out
-
-
-def required(tmp_path, text):
-    file = tmp_path / "wanted.toml"
-    file.write_text(f'format = "sampling-design/requirement/1"\nspacing = 0.1\nwindow = {2 * np.pi!r}\n{text}\n')
-    return file
-
-
-def test_a_design_that_sees_nothing_is_no_success(shell, tmp_path):
-    """One sample every half turn: all readings are alike but for their sign, whenever they are taken."""
-    wanted = required(tmp_path, f"period = {np.pi!r}\nsamples = 1")
-    for command in (["design", "-o", tmp_path / "out"], ["pareto", "--counts", "1"]):
-        done = shell(command[0], plant("oscillator"), wanted, *command[1:])
-        assert done.code == 1
-        assert "No admissible schedule with 1 sample every 3.14159 s makes" in " ".join(done.out.split())
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"design.json"}
-    told = json.loads((tmp_path / "out" / "design.json").read_text())
-    assert (told["status"], told["sigma"], told["upper_bound"]) == ("unobservable", 0.0, 0.0)
-
-
-def test_a_design_that_found_nothing_leaves_the_question_open(shell, tmp_path):
-    wanted = required(tmp_path, f"samples = 2\nfixed = [1.0, {1 + np.pi!r}]")
-    for command in (["design"], ["losses"], ["pareto", "--counts", "2"]):
-        done = shell(command[0], plant("oscillator"), wanted, *command[1:])
-        assert done.code == 3
-        assert "which does not show that there is none" in " ".join(done.out.replace("│", " ").split())
-
-
-def test_counts_that_need_no_samples_are_met(shell):
-    done = shell("pareto", plant("three_compartment"), "--counts", "1-2")
-    assert done.code == 0
-    assert "No samples needed" in done.out
-
-
-def test_an_interrupted_design_writes_what_is_proven(shell, tmp_path, monkeypatch):
-    """Ctrl-C while the bound is narrowed."""
-    calls = []
-
-    @contextmanager
-    def progress(self, label):
-        def call(fraction, message):
-            calls.append(message)
-            if len(calls) == 3:
-                os.kill(os.getpid(), signal.SIGINT)
-
-        yield call
-
-    monkeypatch.setattr(Settings, "progress", progress)
-    files = plant("oscillator"), REQUIREMENTS / "oscillator.toml"
+    monkeypatch.setattr(PlanSearch, "keep", kept)
+    (tmp_path / "wanted.toml").write_text(SMALL)
     before = signal.getsignal(signal.SIGINT)
-    result = shell("design", *files, "-o", tmp_path, "--no-picture", "--quiet")
+    result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", tmp_path / "out")
     signal.signal(signal.SIGINT, before)
-    assert (result.code, result.err) == (130, "sampling-design: interrupted.\n")
-    design = json.loads((tmp_path / "design.json").read_text())
-    assert design["status"] == "interrupted"
-    assert 0 < design["sigma"] <= design["upper_bound"]
-    assert len(read_schedule(tmp_path / "schedule.csv")) > 0
+    assert result.code == 130
+    assert "certificate.json is not written: interrupted." in " ".join(result.err.split())
+    assert json.loads((tmp_path / "out" / "plan.json").read_text())["status"] == "interrupted"
+    assert (tmp_path / "out" / "plan.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plan_without_dates_takes_no_date():
+    undated = SimpleNamespace(requirement=SimpleNamespace(calendar=None), plant=SimpleNamespace(time_unit="s"))
+    with pytest.raises(ArgumentError, match="`--now` must be a number of s, got 'tomorrow'"):
+        _now(Settings("next"), undated, "tomorrow")
+
+
+@pytest.fixture(scope="module")
+def small_plan(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    outputs = ["position", "speed"]
+    plant = sd.Plant([[0, 1], [-1, 0]], np.eye(2), time_unit="s", states=outputs, outputs=outputs)
+    sd.plants.write_plant(plant, folder / "plant.toml")
+    terms = {name: {"noise_bound": 0.2} for name in outputs}
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms, initial_error=1.5)
+    plan = sd.plan_samples(plant, wanted, search_seconds=2.0, certificate=False, robustness=False, start=False)
+    rows = "".join(f"{t!r},{math.cos(t)!r},{-math.sin(t)!r}\n" for t in plan.schedule.between(0.1, 14.0).times.tolist())
+    (folder / "measured.csv").write_text(f"time,position,speed\n{rows}")
+    return plan, plan.save(folder / "plan.json"), folder / "measured.csv"
+
+
+@pytest.mark.parametrize("place", few(["plant", "schedule", "both"], 2))
+def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
+    plan, file, measured = small_plan
+    first = file.with_name("plant.toml") if place == "schedule" else file
+    beside = () if place == "plant" else ("--schedule", file)
+    found = shell("estimate", first, measured, *beside, "--initial-error", "1", "--json")
+    assert found.code == 0
+    heard = " ".join(found.err.split())
+    assert "--w-bound not given: that of the plan, 0.02, is used." in heard
+    assert "--v-bound not given: that of the plan, [0.2, 0.2], is used." in heard
+    assert "--initial-error not given" not in heard
+    assert json.loads(found.out)["guarantee"] == "Guarantee for the schedule given."
+    bounds = {**plan.error_bounds, "initial_error": 1.0}
+    certificate = sd.certify(plan.plant, plan.schedule, eta=1 / plan.schedule.d_max, **bounds)
+    own = sd.MovingHorizonEstimator(plan.plant, certificate, **bounds)
+    assert json.loads(found.out)["x"] == own.run(sd.read_measurements(measured, plan.plant)).to_dict()["x"]
+
+
+def test_rows_of_a_plan_have_its_bounds_on_disturbance_and_noise(shell, small_plan):
+    """`--of` takes another part of the state; what disturbs and what is read are the same signals."""
+    _, file, measured = small_plan
+    asked = ("estimate", file, measured, "--of", "position", "--initial-error", "1", "--json")
+    found = shell(*asked)
+    assert "--w-bound not given: that of the plan, 0.02, is used." in " ".join(found.err.split())
+    assert "--v-bound not given: that of the plan" in " ".join(found.err.split())
+    typed = shell(*asked, "--w", "0.02", "--v", "0.2,0.2")
+    assert json.loads(found.out)["radii"] == json.loads(typed.out)["radii"]
+
+
+@pytest.mark.parametrize("command", ["estimate", "validate"])
+def test_a_plan_of_another_plant_brings_no_bounds(shell, small_plan, command):
+    plan, file, measured = small_plan
+    outputs = plan.plant.outputs.names
+    slower = sd.Plant([[0, 1], [-0.9, 0]], np.eye(2), time_unit="s", states=outputs, outputs=outputs)
+    other = sd.plants.write_plant(slower, file.with_name("slower.toml"))
+    words = (other, measured, "--schedule", file) if command == "estimate" else (other, file, "--runs", "1")
+    found = shell(command, *words)
+    assert found.code == 2
+    said = " ".join(found.err.split())
+    assert "`--w-bound` is missing, and the plan is for another plant: its A[1, 0] is -1.0, not -0.9." in said
+    untyped = ErrorBoundArguments(w_bound=None, v_bound=None, initial_error=None)
+    with pytest.raises(ArgumentError, match="is missing, and the plan is for another plant"):
+        known_bounds(Settings(command), slower, slower, untyped, plan)
+    if command == "estimate":  # its schedule stands, in the plant's unit of time
+        typed = ("--w-bound", "0.02", "--v-bound", "0.2,0.2", "--initial-error", "1.5")
+        assert shell(*(command, *words, *typed, "--json")).code in (0, 1)
+        minutes = sd.Plant(60 * slower.A, np.eye(2), G=60 * np.eye(2), time_unit="min", outputs=outputs)
+        found = shell(command, sd.plants.write_plant(minutes, file.with_name("minutes.toml")), *words[1:], *typed)
+        assert "times in s are converted to min" in " ".join(found.err.split())
+
+
+def test_what_contradicts_a_plan_says_which_bound_was_not_given(shell, small_plan):
+    _, file, measured = small_plan
+    far = measured.with_name("far.csv")
+    far.write_text("time,position,speed\n0.5,90,0\n1.0,-90,0\n")
+    found = shell("estimate", file, far)
+    assert found.code == 1
+    assert "Bounds that were not given" not in found.err
+    again = shell("estimate", file.with_name("plant.toml"), far, "--v", "0.2,0.2")
+    assert again.code == 1
+    assert "Bounds that were not given" in again.err
+
+
+def test_a_plan_is_a_schedule_for_other_commands(shell, small_plan):
+    plan, file, _ = small_plan
+    found = shell("sigma", file, file, "--window", "6.4", "--json")
+    assert json.loads(found.out)["lower"] == sd.window_sigma(plan.plant, plan.schedule, 6.4).lower
+    wrong = shell("robustness", file, file)
+    assert wrong.code == 2
+    assert "The certificate of a plan is in certificate.json, written beside it." in " ".join(wrong.err.split())
+
+
+def test_scales_in_place_of_bounds_are_called_so(shell, tmp_path):
+    """Readings of 90 contradict a noise of typical size 1: no bound was given, and nothing is made of it."""
+    (tmp_path / "y.csv").write_text("time,position,force_per_mass\n0.5,90,0\n1.0,-90,0\n1.7,90,0\n")
+    found = shell("estimate", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "y.csv")
+    heard = " ".join(found.err.split())
+    assert found.code == 1
+    assert "--v-bound not given: the plant's scales [1] are used, typical sizes in place of bounds." in heard
+    assert "Bounds that were not given are the plant's scales, typical sizes that data may well exceed" in heard
+
+
+def test_a_plan_without_a_bound_says_so(small_plan):
+    plan, *_ = small_plan
+    bare = replace(plan, bound=replace(plan.bound, ratio=None, cost=None))
+    assert str(plan).count("could be gained") == 1
+    assert "proven: what the plan keeps, and what none beats, by trajectories" in str(plan)
+    assert "proven: what the plan keeps\n" in str(bare)
+    assert "of the tolerances; nobody has bounded how much could be gained" in str(bare)
+
+
+@pytest.mark.parametrize("month", ["03", "07"])
+def test_estimates_of_a_dated_plan_have_dates_of_its_zone(shell, tmp_path, month):
+    """In winter and in summer a date without offset is one of the plan's zone, not of its first day's offset."""
+    plant = sd.Plant([[-0.01]], [[1.0]], time_unit="h", states=["level"], outputs=["lab"])
+    wanted = sd.PlanRequirement(
+        {"level": 2.0}, period="1 d", grid="6 h", w_bound=0.05, sensors={"lab": {"noise_bound": 0.5}},
+        calendar={"start": "2026-03-02", "zone": "Europe/Berlin"},
+    )  # fmt: skip
+    plan = sd.plan_samples(plant, wanted, search_seconds=1.0, certificate=False, robustness=False, start=False)
+    file = plan.save(tmp_path / "plan.json")
+    naive, said = tmp_path / "naive.csv", tmp_path / "said.csv"
+    offset = "+02:00" if month == "07" else "+01:00"
+    naive.write_text(f"date,lab\n2026-{month}-10 08:10,1.0\n2026-{month}-11 08:05,0.9\n")
+    said.write_text(f"date,lab\n2026-{month}-10 08:10{offset},1.0\n2026-{month}-11 08:05{offset},0.9\n")
+    first, second = (shell("estimate", file, each, "--initial-error", "9") for each in (naive, said))
+    assert "Dates without a zone are read in Europe/Berlin." in first.err
+    assert first.out == second.out
+    assert f"Last estimate, at 2026-{month}-11 08:05{offset}" in " ".join(first.out.split())
+    folder = shell("estimate", tmp_path, naive)
+    assert folder.code == 2
+    assert "plan.json?" in " ".join(folder.err.split())

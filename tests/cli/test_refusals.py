@@ -10,9 +10,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.cli import files
 from sampling_design.cli.app import COMMANDS, function_of, loaded
-from sampling_design.cli.plan import design
+from sampling_design.cli.design import _counts, design
 from sampling_design.cli.settings import Settings, with_common_flags
-from sampling_design.cli.what_if import _counts
 from sampling_design.design import write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules import PeriodicSchedule, write_schedule

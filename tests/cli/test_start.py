@@ -69,8 +69,8 @@ def test_what_the_list_of_commands_may_import(arguments, environment, more):
 @pytest.mark.parametrize("name", app.COMMANDS)
 def test_the_line_of_a_command_is_the_first_sentence_of_its_docstring(name):
     paragraph = (inspect.getdoc(app.function_of(name)) or "").partition("\n\n")[0]
-    assert " ".join(paragraph.split()).startswith(app.COMMANDS[name].line)
-    assert app.COMMANDS[name].line.endswith(".")
+    assert " ".join(paragraph.split()).startswith(app.lines()[name])
+    assert app.lines()[name].endswith(".")
 
 
 def test_help_lists_every_command_once_under_its_question(shell):

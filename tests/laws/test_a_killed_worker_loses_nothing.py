@@ -15,7 +15,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.checkers.strict import a_table
-from sampling_design.cli.settings import workforce
+from sampling_design.cli.options import workforce
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
 from sampling_design.records import workers as workforces
 from sampling_design.records.journal import Journal, digest

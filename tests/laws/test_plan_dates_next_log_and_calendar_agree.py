@@ -14,9 +14,9 @@ import pytest
 import typer
 
 import sampling_design as sd
-from sampling_design.cli.planning import next_sample as next_command
+from sampling_design.cli.plan import next_sample as next_command
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.track import compare
+from sampling_design.cli.validate import compare
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan

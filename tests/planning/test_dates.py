@@ -8,7 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.track import compare
+from sampling_design.cli.validate import compare
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli import track
-from sampling_design.cli.prove import BoundOptions
+from sampling_design.cli import estimate as estimate_command
+from sampling_design.cli.options import BoundOptions
 from sampling_design.cli.settings import Settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -241,10 +241,10 @@ def test_bad_input_is_one_sentence_and_exit_code_2(shell, tmp_path, schedule, ar
 def test_refusals_carry_their_sentence(tmp_path):
     (tmp_path / "empty.csv").write_text("time,position,force_per_mass\n0,,1\n")
     with pytest.raises(sd.ArgumentError, match=r"`MEASUREMENTS` .* holds no measurement"):
-        track.estimate(Settings(quiet=True), OSCILLATOR, tmp_path / "empty.csv")
+        estimate_command.estimate(Settings(quiet=True), OSCILLATOR, tmp_path / "empty.csv")
     readings = write_readings(tmp_path / "y.csv")
     with pytest.raises(sd.ArgumentError, match="`--w-bound` must be numbers with commas between"):
-        track.estimate(Settings(quiet=True), OSCILLATOR, readings, typed=BoundOptions(w_bound="one"))
+        estimate_command.estimate(Settings(quiet=True), OSCILLATOR, readings, typed=BoundOptions(w_bound="one"))
 
 
 def test_every_command_teaches_by_an_example(shell):

@@ -9,7 +9,8 @@ import pytest
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, read_certificate, read_plant
 from sampling_design.certificates.detectability.best_rate import certify_detectability
-from sampling_design.cli.prove import certify, sampling_certificate
+from sampling_design.cli import files
+from sampling_design.cli.certify import certify
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.files import write_schedule
@@ -263,7 +264,7 @@ def test_commands_that_need_samples_refuse_a_detectability_file(shell, tmp_path)
         assert "proves that the plant is detectable, which promises nothing about samples" in result.err
         assert result.err.count("\n") == 1
     with pytest.raises(ArgumentError, match="which promises nothing about samples: make one with"):
-        sampling_certificate(file, read_plant(OSCILLATOR))
+        files.sampling_certificate(file, read_plant(OSCILLATOR))
 
 
 @pytest.mark.parametrize(("flag", "name"), [("--eta", "--eta"), ("--noise-gain", "--noise-gain")])

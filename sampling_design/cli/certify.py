@@ -1,9 +1,8 @@
-"""Commands that prove what a schedule, or every schedule of a family, promises, and that check a proof."""
+"""Commands that prove what a schedule, or every schedule of a family, promises, check it, and say what it survives."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -14,12 +13,18 @@ from rich.table import Table as RichTable
 import sampling_design as sd
 from sampling_design.certificates.certification import within_tolerance
 from sampling_design.certificates.compare.four_horizons import FourHorizons
-from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import files
-from sampling_design.cli.plan import PlantFile, schedule_for
-from sampling_design.cli.settings import Settings, numbers, record_table, table, timing, timing_number
+from sampling_design.cli.options import (
+    UNBOUNDED,
+    BoundOptions,
+    CertificateArgument,
+    PlantFile,
+    Rigorous,
+    timing_in_numbers,
+)
+from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import positive
@@ -71,32 +76,6 @@ NewFile = Annotated[
     Path | None, typer.Option("--certificate", metavar="FILE", help="Where to write the certificate (.json).")
 ]
 
-Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
-
-
-@dataclass(frozen=True)
-class BoundOptions:
-    """The three bounds, as they are typed."""
-
-    w_bound: Annotated[
-        str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")
-    ] = None
-    v_bound: Annotated[
-        str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {Numbers}")
-    ] = None
-    initial_error: Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")] = None
-
-    def of(self, plant: sd.Plant) -> ErrorBoundArguments:
-        """The bounds as verbs take them."""
-        return ErrorBoundArguments(
-            w_bound=numbers("--w-bound", self.w_bound, plant.disturbances.names),
-            v_bound=numbers("--v-bound", self.v_bound, plant.outputs.names),
-            initial_error=numbers("--initial-error", self.initial_error, plant.states.names),
-        )
-
-
-UNBOUNDED = BoundOptions()
-
 
 def certify(
     settings: Settings,
@@ -147,11 +126,14 @@ def certify(
         compared = sd.certificates.four_horizons(plant, certificate.schedule, certificate, budget=left)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))
-    notes: list[RichTable | str] = [] if compared is None else [_horizons(compared)]
-    notes += [] if compared is None else [f"{r.name}: {r.note}" for r in compared.rows if r.note]
+    notes: list[RichTable | str] = []
+    if compared is not None:
+        heads = ["horizon", "source", f"M > [{plant.time_unit}]", "C_x", "C_w", "C_v"]
+        notes = [table("Four horizons", heads, compared.cells())]
+        notes += [f"{r.name}: {r.note}" for r in compared.rows if r.note]
     notes.append(certificate.explain())
     if (folder := settings.folder()) is not None:
-        _files(settings, certificate, compared)
+        _write(settings, folder, certificate, compared)
         made = folder / "certificate.json"
         notes.append(f"Next: sampling-design verify {made}")
         notes.append(f"Next: sampling-design estimate {plant_file} MEASUREMENTS.csv --certificate {made} -o {folder}")
@@ -172,21 +154,9 @@ def _detectability(
     made = partial(sd.certificates.certify_detectability, plant, rate)
     certificate = made() if noise_gain is None else made(noise_gain=positive("noise_gain", noise_gain))
     folder = settings.folder()
-    for place in (path, None if folder is None else folder / "certificate.json"):
-        if place is not None:
-            settings.wrote(certificate.save(place))
+    places = [path, None if folder is None else folder / "certificate.json"]
+    settings.wrote(*(certificate.save(place) for place in places if place is not None))
     settings.show(certificate.to_dict(), record_table(certificate), certificate.explain())
-
-
-def sampling_certificate(path: Path, plant: sd.Plant) -> SampledCertificate:
-    """The certificate of a file, if it is about samples of this plant."""
-    certificate = files.certificate(path, plant)
-    if isinstance(certificate, sd.certificates.DetectabilityCertificate):
-        raise ArgumentError(
-            f"`CERTIFICATE` {path} proves that the plant is detectable, which promises nothing about samples: "
-            "make one with `certify PLANT SCHEDULE`."
-        )
-    return certificate
 
 
 def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tree) -> AnySchedule | SamplingFamily:
@@ -199,7 +169,7 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
         raise ArgumentError(
             f"`certify` needs {need} {'with --' + kind if kind else 'or a family such as --gap-range'}."
         )
-    schedule = None if path is None else schedule_for(settings, plant, path)
+    schedule = None if path is None else files.schedule_for(settings, plant, path)
     try:
         if kind == "gap-range":
             return sd.GapRange(*families[kind], time_unit=plant.time_unit)
@@ -210,7 +180,7 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
             return schedule
         if kind == "lost":
             return sd.LostSamples(schedule, *families[kind])
-        found = within_tolerance(plant, schedule, timing(families[kind], timing_number))
+        found = within_tolerance(plant, schedule, timing_in_numbers(families[kind]))
         assert found is not None
         return found
     except ArgumentError as error:
@@ -224,37 +194,26 @@ def _as_typed(words: str, kind: str) -> str:
     return words
 
 
-def _files(settings: Settings, certificate: SampledCertificate, horizons: FourHorizons | None) -> None:
-    folder = settings.folder()
-    assert folder is not None
-    markdown, latex = [certificate.to_markdown()], [certificate.to_latex()]
+def _write(settings: Settings, folder: Path, certificate: SampledCertificate, compared: FourHorizons | None) -> None:
     settings.wrote(certificate.save(folder / "certificate.json"))
-    if horizons is not None:
-        markdown.append(horizons.to_markdown())
-        latex.append(horizons.to_latex())
-        settings.draw(horizons, folder / "horizons.png")
+    if compared is not None:
+        settings.draw(compared, "horizons")
     else:
-        alone = isinstance(certificate, sd.Certificate)
-        settings.draw(certificate, folder / ("certificate.png" if alone else "family.png"))
-    settings.wrote(write_text(folder / "constants.md", "\n".join(markdown)))
-    settings.wrote(write_text(folder / "constants.tex", "\n".join(latex)))
-
-
-def _horizons(horizons: FourHorizons) -> RichTable:
-    unit = horizons.certificate.plant.time_unit
-    heads = ["horizon", "source", f"M > [{unit}]", "C_x", "C_w", "C_v"]
-    return table("Four horizons", heads, horizons.cells())
+        settings.draw(certificate, "certificate" if isinstance(certificate, sd.Certificate) else "family")
+    beside = [] if compared is None else [compared]
+    text = "\n".join([certificate.to_markdown(), *(each.to_markdown() for each in beside)])
+    settings.wrote(write_text(folder / "constants.md", text))
+    text = "\n".join([certificate.to_latex(), *(each.to_latex() for each in beside)])
+    settings.wrote(write_text(folder / "constants.tex", text))
 
 
 def verify(
     settings: Settings,
-    certificate_file: Annotated[Path, typer.Argument(metavar="CERTIFICATE", help="Certificate file (.json).")],
+    certificate_file: CertificateArgument,
     plant_file: Annotated[
         Path | None, typer.Option("--plant", metavar="PLANT", help="Also check that it is about this plant.")
     ] = None,
-    rigorous: Annotated[
-        bool, typer.Option("--rigorous", help="Decide in ball arithmetic: a theorem about the stated numbers.")
-    ] = False,
+    rigorous: Rigorous = False,
 ) -> None:
     """Check a certificate or an interval from its data alone.
 
@@ -264,26 +223,38 @@ def verify(
     """
     plant = None if plant_file is None else files.plant(plant_file)
     if files.holds_interval(certificate_file):
-        _verify_interval(settings, certificate_file, plant)
+        found, outcome = files.interval(certificate_file, plant)
+        settings.write_json(outcome.to_dict(), "verdict")
+        words = f"{outcome.verdict.capitalize()}: {outcome.reason}."
+        settings.show(outcome.to_dict(), record_table(found), words)
+        if not outcome.passed:
+            raise typer.Exit(outcome.exit_code)
         return
     certificate = files.certificate(certificate_file, plant)
     verdict = certificate.verify(rigorous=rigorous, budget=settings.budget)
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "verdict.json", verdict.to_dict())
-    settings.show(verdict.to_dict(), record_table(verdict), verdict.explain())
+    settings.finish(verdict, verdict.to_dict(), "verdict")
     if verdict.verdict == "undecided":
         raise typer.Exit(3)
     if not verdict.passed:
         raise typer.Exit(1)
 
 
-def _verify_interval(settings: Settings, path: Path, plant: sd.Plant | None) -> None:
-    """Prove the ends of an interval from its gains, every rounding included."""
-    found, verdict = files.interval(path, plant)
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "verdict.json", verdict.to_dict())
-    settings.show(verdict.to_dict(), record_table(found), f"{verdict.verdict.capitalize()}: {verdict.reason}.")
-    if not verdict.passed:
-        raise typer.Exit(verdict.exit_code)
+def robustness(
+    settings: Settings,
+    plant_file: PlantFile,
+    certificate_file: CertificateArgument,
+    horizon: Annotated[float | None, typer.Option(help="Horizon to be kept; default: the certificate's.")] = None,
+    longest: Annotated[int, typer.Option(help="Losses are counted among this many samples.")] = 8,
+) -> None:
+    """Say how late samples may come, and how many may be lost, before a certificate no longer holds.
+
+    Example: sampling-design robustness examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
+    """
+    plant = settings.part(files.plant(plant_file))
+    certificate = files.sampling_certificate(certificate_file, plant)
+    with settings.progress("robustness") as progress:
+        result = sd.robustness(
+            plant, certificate, horizon=horizon, longest=longest, budget=settings.budget, progress=progress
+        )
+    settings.draw(result, "robustness")
+    settings.finish(result, result.to_dict(), "robustness")

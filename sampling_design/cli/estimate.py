@@ -1,0 +1,141 @@
+"""The command that estimates the state along a record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+import sampling_design as sd
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
+from sampling_design.cli import files
+from sampling_design.cli.estimate_rows import USUAL, EstimateOptions, followed
+from sampling_design.cli.options import (
+    UNBOUNDED,
+    BoundOptions,
+    CertificateFile,
+    Eta,
+    MeasurementFile,
+    PlantFile,
+    numbers,
+)
+from sampling_design.cli.settings import Settings
+from sampling_design.errors import ArgumentError
+from sampling_design.planning.plan_record import Plan
+from sampling_design.plants.plant import first_difference
+from sampling_design.records.record import short
+
+
+def estimate(
+    settings: Settings,
+    plant_file: PlantFile,
+    measurement_file: MeasurementFile,
+    certificate_file: CertificateFile = None,
+    schedule_file: Annotated[
+        Path | None, typer.Option("--schedule", metavar="FILE", help="Schedule that is certified first.")
+    ] = None,
+    prior: Annotated[str | None, typer.Option(help="State before any sample, with commas between; default 0.")] = None,
+    horizon: Annotated[float | None, typer.Option(help="Length of the window; default: the certificate's.")] = None,
+    typed: BoundOptions = UNBOUNDED,
+    eta: Eta = None,
+    how: EstimateOptions = USUAL,
+) -> None:
+    """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
+
+    A plan (plan.json) may stand for PLANT or for the schedule: it brings its bounds, too. Without certificate and
+    schedule the gaps in the file are certified where that is possible. With -o DIR: estimates.csv, estimates.json
+    and estimates.png; --no-picture leaves the picture out, --tube shows more in it.
+
+    Example: sampling-design estimate examples/plants/oscillator.toml examples/data/oscillator.csv -o out
+    """
+    if how.tube and (settings.output is None or settings.no_picture):
+        raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
+    if how.tube and (how.most_outliers or how.smooth):
+        raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
+    whole = files.plan_in(plant_file)
+    full = files.plant(plant_file) if whole is None else whole.plant
+    plant, schedule = settings.part(full), None
+    if schedule_file is not None:
+        schedule = files.schedule_for(settings, plant, schedule_file)
+    elif whole is not None and certificate_file is None:
+        schedule = whole.schedule
+    planned = files.plan_in(schedule_file) if whole is None else whole
+    bounds = known_bounds(settings, plant, full, typed.of(plant), planned)
+    zero = None if schedule is None else schedule.origin
+    calendar = None if planned is None else planned.requirement.calendar
+    zone = None if calendar is None else calendar.zone
+    record = files.measurements(settings, measurement_file, plant, zero, zone)
+    if schedule is not None:
+        files.check_origins(record, schedule)
+    if not record.measured.any():
+        raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
+    record = record.in_order() if how.leave_out is None else record.without(*_numbered(how.leave_out))
+    certificate = None if certificate_file is None else files.sampling_certificate(certificate_file, plant)
+    first = numbers("--prior", prior, plant.states.names)
+    with settings.progress("certificate") as progress:
+        chosen = sd.estimators.estimator_for(
+            plant, record, certificate, schedule=schedule, eta=eta, horizon=horizon,
+            prior=None if first is None else np.atleast_1d(first), progress=progress, **bounds,
+        )  # fmt: skip
+    words = chosen.guarantee if certificate is None else f"Guarantee of {certificate_file}."
+    for name, text in chosen.defaults_used.items():
+        settings.notice(text if name == "notice" else f"--{name.replace('_', '-')} not given: {text}.")
+    counts = followed(settings, chosen.estimator, record, how, words, or_scales(plant, bounds))
+    if counts.contradictions or counts.status["bounds disproved"]:
+        if any(bound is None for bound in bounds.values()):
+            settings.notice(
+                "Bounds that were not given are the plant's scales, typical sizes that data may well exceed: give "
+                "--w-bound, --v-bound and --initial-error before more is made of the contradiction."
+            )
+        raise typer.Exit(1)
+
+
+def known_bounds(
+    settings: Settings, plant: sd.Plant, full: sd.Plant, typed: ErrorBoundArguments, planned: Plan | None
+) -> ErrorBoundArguments:
+    """The bounds as they were typed, else those that a plan was made with.
+
+    Raises ArgumentError if the plan is for another plant, of whose signals its bounds say nothing.
+    """
+    if planned is None:
+        return typed
+    own = planned.error_bounds
+    if settings.of is not None:  # of the part that rows need, whose states are others
+        same = all(
+            getattr(plant, kind).names == getattr(planned.plant, kind).names for kind in ("disturbances", "outputs")
+        )
+        own = ErrorBoundArguments(
+            w_bound=own["w_bound"] if same else None, v_bound=own["v_bound"] if same else None, initial_error=None
+        )
+    found = ErrorBoundArguments(
+        w_bound=own["w_bound"] if typed["w_bound"] is None else typed["w_bound"],
+        v_bound=own["v_bound"] if typed["v_bound"] is None else typed["v_bound"],
+        initial_error=own["initial_error"] if typed["initial_error"] is None else typed["initial_error"],
+    )
+    for (name, used), said in zip(found.items(), typed.values(), strict=True):
+        if said is None and used is not None:
+            flag = f"--{name.replace('_', '-')}"
+            if other := first_difference(full, planned.plant):
+                raise ArgumentError(f"`{flag}` is missing, and the plan is for another plant: {other}. Give the bound.")
+            settings.notice(f"{flag} not given: that of the plan, {short(used)}, is used.")
+    return found
+
+
+def or_scales(plant: sd.Plant, bounds: ErrorBoundArguments) -> ErrorBoundArguments:
+    """The bounds, with the plant's scales where none was given, as the estimator has them."""
+    w, v, error = bounds["w_bound"], bounds["v_bound"], bounds["initial_error"]
+    return ErrorBoundArguments(
+        w_bound=plant.disturbances.scales if w is None else w,
+        v_bound=plant.outputs.scales if v is None else v,
+        initial_error=plant.states.scales if error is None else error,
+    )
+
+
+def _numbered(text: str) -> list[int]:
+    """Numbers of samples as typed."""
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError:
+        raise ArgumentError(f"`--leave-out` must hold numbers of samples, 3 or 3,17, got {text!r}.") from None

@@ -1,0 +1,144 @@
+"""Arguments and flags of several commands, and how what was typed behind them is read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
+from sampling_design.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from sampling_design.plants.plant import Plant
+    from sampling_design.records.workers import Workers
+
+T = TypeVar("T")
+
+PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
+ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
+RequirementFile = Annotated[
+    Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
+]
+MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
+CertificateFile = Annotated[Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate (.json).")]
+CertificateArgument = Annotated[Path, typer.Argument(metavar="CERTIFICATE", help="Certificate file (.json).")]
+Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error, where one is certified.")]
+Window = Annotated[float | None, typer.Option(help="Window over which sigma is judged [plant's time unit].")]
+RelativeWidth = Annotated[float, typer.Option(help="Relative width of the bracket.")]
+Rigorous = Annotated[
+    bool, typer.Option("--rigorous", help="Decide in ball arithmetic: a theorem about the stated numbers.")
+]
+NoLimit = Annotated[
+    float | None, typer.Option(metavar="SECONDS", help="After which bounds stay as they are. Default: none.")
+]
+WorkerCount = Annotated[int, typer.Option(help="Processes that share the work (-1: one per core).")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose machines share the work (tcp://host:8786).")
+]
+TimingOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="How early or late each sample may be: TIME, EARLY:LATE, or NAME=TIME,... for each output by itself.",
+    ),
+]
+"""What is said then holds at all such times."""
+
+_FORM = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
+DisturbanceBound = Annotated[
+    str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {_FORM}")
+]
+NoiseBound = Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {_FORM}")]
+
+
+@dataclass(frozen=True)
+class BoundOptions:
+    """The three bounds, as they are typed."""
+
+    w_bound: DisturbanceBound = None
+    v_bound: NoiseBound = None
+    initial_error: Annotated[
+        str | None,
+        typer.Option("--initial-error", help=f"Bound on the error of the prior, before the first sample. {_FORM}"),
+    ] = None
+
+    def of(self, plant: Plant) -> ErrorBoundArguments:
+        """The bounds as verbs take them."""
+        return ErrorBoundArguments(
+            w_bound=numbers("--w-bound", self.w_bound, plant.disturbances.names),
+            v_bound=numbers("--v-bound", self.v_bound, plant.outputs.names),
+            initial_error=numbers("--initial-error", self.initial_error, plant.states.names),
+        )
+
+
+UNBOUNDED = BoundOptions()
+
+
+def listed(text: str) -> list[str]:
+    """Names with commas between."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | list[float] | None:
+    """None, one number, or numbers with commas between: one for each name, where names are given."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ArgumentError(f"`{flag}` must be numbers with commas between, got {text!r}.") from None
+    if len(values) > 1 and names and len(values) != len(names):
+        each = f", or {len(names)}: one for each of {', '.join(names)}" if len(names) > 1 else ""
+        raise ArgumentError(f"`{flag}` must be one number{each}, got {text!r}. Decimals have a point, not a comma.")
+    return values if len(values) > 1 else values[0]
+
+
+def timing(text: str, time: Callable[[str], T]) -> T | list[T] | dict[str, T | list[T]]:
+    """How early or late samples may be: TIME or EARLY:LATE, or NAME=either with commas between, one for each output."""
+    if not all(part.strip() for part in re.split("[,:=]", text)):
+        raise ArgumentError(f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,..., got {text!r}.")
+    if "=" not in text:
+        return _early_late(text, time)
+    named = [part.partition("=") for part in text.split(",")]
+    return {name.strip(): _early_late(value, time) for name, _, value in named}
+
+
+def _early_late(text: str, time: Callable[[str], T]) -> T | list[T]:
+    values = [time(part.strip()) for part in text.split(":")]
+    return values if len(values) > 1 else values[0]
+
+
+def timing_in_numbers(text: str | None) -> float | list[float] | dict[str, float | list[float]]:
+    """The same in numbers without a unit; on time where nothing was said. Raises ArgumentError if one is no number."""
+    try:
+        return timing(text or "0", float)
+    except ArgumentError:
+        raise
+    except ValueError:
+        raise ArgumentError(
+            f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,... in numbers, got {text!r}."
+        ) from None
+
+
+@contextmanager
+def workforce(workers: int, scheduler: str | None) -> Iterator[Workers]:
+    """Yield who does the work of a command: this process, several, or the machines of a scheduler."""
+    from sampling_design.records.workers import check_workers, cluster
+
+    if scheduler is None:
+        check_workers(workers)
+        yield None if workers == 1 else workers
+        return
+    if workers != 1:
+        raise ArgumentError("`--workers` and `--scheduler` exclude each other: a scheduler knows its own workers.")
+    client = cluster(scheduler)
+    try:
+        yield client
+    finally:
+        client.close()

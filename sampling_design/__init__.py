@@ -48,12 +48,10 @@ _FRONT_DOOR = {
     "design.problem.requirement": ("Requirement",),
     "design.problem.requirement_file": ("read_requirement",),
     "planning.requirement": ("PlanRequirement",),
-    "planning.requirement_file": ("read_plan_requirement",),
     "planning.plan": ("plan_samples",),
     "planning.files": ("read_plan",),
     "planning.upcoming_sample": ("next_sample",),
     "design.design": ("design_schedule",),
-    "design.losses": ("sample_losses",),
     "design.pareto": ("pareto_front",),
 }
 _ROOMS = (

@@ -25,7 +25,6 @@ from sampling_design.certificates.exact.certificate import Certificate as Certif
 from sampling_design.certificates.existence.periodic import certificate_exists as certificate_exists
 from sampling_design.certificates.files import read_certificate as read_certificate
 from sampling_design.design.design import design_schedule as design_schedule
-from sampling_design.design.losses import sample_losses as sample_losses
 from sampling_design.design.pareto import pareto_front as pareto_front
 from sampling_design.design.problem.requirement import Requirement as Requirement
 from sampling_design.design.problem.requirement_file import read_requirement as read_requirement
@@ -46,7 +45,6 @@ from sampling_design.observability.worst_case.worst_case_sigma import worst_case
 from sampling_design.planning.files import read_plan as read_plan
 from sampling_design.planning.plan import plan_samples as plan_samples
 from sampling_design.planning.requirement import PlanRequirement as PlanRequirement
-from sampling_design.planning.requirement_file import read_plan_requirement as read_plan_requirement
 from sampling_design.planning.upcoming_sample import next_sample as next_sample
 from sampling_design.plants.files import read_plant as read_plant
 from sampling_design.plants.library import named_plant as named_plant

@@ -99,7 +99,7 @@ def things() -> dict[str, Any]:
         "nonlinear": nonlinear,
         "split": sd.plants.split_modes(plant),
         "part": sd.observability.functional_plant(plant, plant.states.names[0]),
-        "losses": sd.sample_losses(design),
+        "losses": sd.design.sample_losses(design),
         "pareto": sd.pareto_front(plant, requirement, [2], starts=1, branches=0),
         "sigma": sd.window_sigma(plant, schedule, 4.0),
         "worst": sd.worst_case_sigma(plant, sd.SpacedWindows(4.0, 3, 0.5)),

@@ -17,33 +17,42 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-PANELS = {
-    "When to sample": {"new": "new", "design": "info design pareto losses", "plan": "plan next", "explore": "explore"},
-    "What does it prove": {"sigma": "sigma worst-case", "certify": "certify verify robustness", "accuracy": "accuracy"},
-    "What is the state": {"estimate": "estimate"},
-    "Did the promise hold": {"validate": "validate compare", "thyroid": "thyroid"},
+PANELS: dict[str, dict[str, tuple[str, ...]]] = {
+    "When to sample": {
+        "new": ("new",),
+        "design": ("info", "design", "pareto", "losses"),
+        "plan": ("plan", "next_sample"),
+        "explore": ("explore",),
+    },
+    "What does it prove": {
+        "sigma": ("sigma", "worst_case"),
+        "certify": ("certify", "verify", "robustness"),
+        "accuracy": ("accuracy",),
+    },
+    "What is the state": {"estimate": ("estimate",)},
+    "Did the promise hold": {"validate": ("validate", "compare"), "thyroid": ("thyroid",)},
 }
-"""Files and their commands, by the question that they answer."""
-
-FUNCTIONS = {"next": "next_sample"}
-"""Functions that are not called as their command."""
+"""Files and their functions, by the question that they answer."""
 
 RENAMED = {"log": "compare", "survive": "robustness"}
 """Commands that were called otherwise; who types the earlier name is told the one of today."""
 
-COMMANDS = {name: file for panel in PANELS.values() for file, names in panel.items() for name in names.split()}
-"""File of each command."""
+SHORT = {"next_sample": "next"}
+"""Commands that are not called as their function."""
 
-
-def function_name(command: str) -> str:
-    """Return what the function of a command is called."""
-    return FUNCTIONS.get(command, command.replace("-", "_"))
+COMMANDS = {
+    SHORT.get(function, function.replace("_", "-")): (file, function)
+    for panel in PANELS.values()
+    for file, functions in panel.items()
+    for function in functions
+}
+"""File and function of each command."""
 
 
 def function_of(command: str) -> Callable[..., None]:
     """Import the function of a command."""
-    module = import_module(f"sampling_design.cli.{COMMANDS[command]}")
-    found: Callable[..., None] = getattr(module, function_name(command))
+    file, function = COMMANDS[command]
+    found: Callable[..., None] = getattr(import_module(f"sampling_design.cli.{file}"), function)
     return found
 
 
@@ -51,12 +60,12 @@ def function_of(command: str) -> Callable[..., None]:
 def lines() -> dict[str, str]:
     """Return what one line of help says of each command: the first sentence of its docstring, read, not imported."""
     folder, said = Path(__file__).parent, dict[str, str]()
-    for file in dict.fromkeys(COMMANDS.values()):
+    for file in {file for file, _ in COMMANDS.values()}:
         for node in ast.parse((folder / f"{file}.py").read_text(encoding="utf-8")).body:
             match node:
                 case ast.FunctionDef(name=name):
                     said[name] = " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
-    return {command: said[function_name(command)].split(". ")[0].rstrip(".") + "." for command in COMMANDS}
+    return {command: said[function].split(". ")[0].rstrip(".") + "." for command, (_, function) in COMMANDS.items()}
 
 
 @cache
@@ -91,7 +100,7 @@ class CommandsWhenCalled(TyperGroup):
         """Write the lines of the commands, under the question that they answer."""
         for title, panel in PANELS.items():
             with formatter.section(title):
-                formatter.write_dl([(name, lines()[name]) for names in panel.values() for name in names.split()])
+                formatter.write_dl([(name, lines()[name]) for name, (file, _) in COMMANDS.items() if file in panel])
 
 
 app = typer.Typer(

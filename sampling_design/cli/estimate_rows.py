@@ -127,8 +127,8 @@ def followed(
     """Estimate at every row of `record`, or at its samples where it is smoothed; write and show what was asked for."""
     outliers, tube = options.most_outliers, options.tube
     if outliers:
-        most, among = (outliers, "") if isinstance(outliers, int) else (outliers[0], f"last {outliers[1]} ")
-        guarantee = f"Radii hold if at most {most} of the {among}samples are outliers."
+        most, *among = np.ravel(outliers).tolist()
+        guarantee = f"Radii hold if at most {most} of the {f'last {among[0]} ' if among else ''}samples are outliers."
     asked = options.radii or ("centred" if outliers else _usual(settings, estimator, record))
     kind, plant, folder = check_radii(asked), estimator.plant, settings.folder()
     drawn = folder is not None and not settings.no_picture
@@ -161,9 +161,9 @@ def followed(
                         counted.add(estimate.t, estimate)
         if columns is not None and folder is not None:
             with AtomicWriter(folder / "estimates.json") as file:
-                columns.write(file, settings.named({}), after)
+                columns.write(lambda text: file.write(text.encode()), settings.named({}), after)
         if columns is not None and settings.as_json:
-            columns.write(sys.stdout, settings.named({}), after)
+            columns.write(sys.stdout.write, settings.named({}), after)
     if folder is not None:
         settings.wrote(folder / "estimates.csv", folder / "estimates.json")
     if envelope is not None:

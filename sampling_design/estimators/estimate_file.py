@@ -7,7 +7,7 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
@@ -143,12 +143,8 @@ class EstimateColumns:
         for spool, column in zip(self._spools.values(), columns, strict=True):
             spool.write(mark + ",\n    ".join(column))
 
-    def write(self, file: AtomicWriter | IO[str], before: Mapping[str, object], after: Mapping[str, object]) -> None:
-        """Write everything as JSON: the entries `before`, the record's, the entries `after`."""
-
-        def put(text: str) -> None:
-            file.write(text.encode()) if isinstance(file, AtomicWriter) else file.write(text)
-
+    def write(self, put: Callable[[str], object], before: Mapping[str, object], after: Mapping[str, object]) -> None:
+        """Write everything as JSON, piece by piece: the entries `before`, the record's, the entries `after`."""
         head = {**before, "states": list(self.plant.states.names), "time_unit": self.plant.time_unit}
         contradictions = [each.to_dict() for each in self.counts.contradictions]
         put(json.dumps(head, indent=2, allow_nan=False, ensure_ascii=False).removesuffix("\n}"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sampling_design import cli
-from sampling_design.cli.app import COMMANDS, function_name
+from sampling_design.cli.app import COMMANDS
 from sampling_design.cli.settings import COMMON_FLAGS, Settings, flags_of
 
 SHARED = {"quiet", "as_json", "version"}
@@ -62,7 +62,7 @@ def read_by(module: str, name: str) -> set[str]:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_takes_the_flags_that_it_reads(name):
-    assert set(flags_of(name)) | SHARED == read_by(COMMANDS[name], function_name(name)) | SHARED
+    assert set(flags_of(name)) | SHARED == read_by(*COMMANDS[name]) | SHARED
 
 
 def test_a_flag_that_would_do_nothing_is_refused(shell, tmp_path):

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.cli.estimate import ErrorBoundArguments, known_bounds
 from sampling_design.cli.plan import _now, plan
 from sampling_design.cli.plan import next_sample as next_command
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.estimate import ErrorBoundArguments, known_bounds
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.search import PlanSearch
 from tests.cases import few

@@ -6,7 +6,8 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, read_requirement, sample_losses
+from sampling_design import Plant, Requirement, design_schedule, read_requirement
+from sampling_design.design import sample_losses
 from sampling_design.design.bounds.weak_duality import best_choice
 from sampling_design.design.problem.requirement_file import write_requirement
 from sampling_design.errors import InfeasibleRequirementError

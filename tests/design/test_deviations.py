@@ -31,7 +31,7 @@ def test_a_design_says_what_late_and_lost_samples_leave(design):
 
 
 def test_what_is_lost_is_what_the_losses_say(design):
-    losses = sd.sample_losses(design)
+    losses = sd.design.sample_losses(design)
     assert design.deviations.lost == pytest.approx(losses.lower.min(), rel=0.02)
     assert design.deviations.lost <= losses.upper.min() * (1 + 1e-9)
     assert losses.deviations == design.deviations

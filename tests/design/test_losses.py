@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, sample_losses
+from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design import sample_losses
 from sampling_design.design.losses import design_and_losses
 from sampling_design.errors import ArgumentError
 from tests.cases import few

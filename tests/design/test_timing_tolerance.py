@@ -145,7 +145,7 @@ def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
     assert "up to 0.02" in str(ASKED)
     assert design.deviations.tolerance.plain == LATE
     assert design.deviations.late == design.sigma
-    assert sd.sample_losses(design).lower.min() == pytest.approx(design.deviations.lost, rel=0.02)
+    assert sd.design.sample_losses(design).lower.min() == pytest.approx(design.deviations.lost, rel=0.02)
     front = sd.pareto_front(OSCILLATOR, WIDER, [4], starts=2, branches=0)
     assert front.points[0].sigma == pytest.approx(design.sigma, rel=1e-6)
     again = read_requirement(write_requirement(ASKED, tmp_path / "wish.toml"))

@@ -21,7 +21,7 @@ DRAWN_BY = {
     "Projection": ".projection(",
     "WorstCaseSigma": "sd.worst_case_sigma(",
     "ParetoFront": "sd.pareto_front(",
-    "SampleLosses": "sd.sample_losses(",
+    "SampleLosses": "sd.design.sample_losses(",
     "Certificate": "certificate.plot()",
     "FamilyCertificate": "sd.certify(plant, sd.GapRange(",
     "InclusionCertificate": "sd.certify(sd.UncertainPlant(",

@@ -102,7 +102,7 @@ VERBS = {
     "certify_inclusion": lambda b: sd.uncertain.certify_inclusion(MANY, sd.GapRange(0.4, 0.6), eta=0.1, budget=b),
     "certify of a family": lambda b: sd.certify(OSCILLATOR, sd.GapRange(0.05, 1.5), budget=b),
     "find_counterexample": lambda b: sd.certificates.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
-    "sample_losses": lambda b: sd.sample_losses(designed(), budget=b / 4),
+    "sample_losses": lambda b: sd.design.sample_losses(designed(), budget=b / 4),
     "guaranteed_accuracy": lambda b: sd.guaranteed_accuracy(
         HARD, sd.PeriodicSchedule([0.9, 1.4, 1.1, 0.8]), w_bound=0.1, v_bound=0.1, rtol=1e-6, budget=b
     ),

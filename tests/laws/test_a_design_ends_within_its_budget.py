@@ -8,7 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, pareto_front, sample_losses
+from sampling_design import Plant, Requirement, design_schedule, pareto_front
+from sampling_design.design import sample_losses
 from sampling_design.plants import library
 from tests.cases import few
 from tests.counted_clock import Counted

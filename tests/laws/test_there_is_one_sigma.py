@@ -17,12 +17,12 @@ from sampling_design import (
     SpacedWindows,
     design_schedule,
     pareto_front,
-    sample_losses,
     window_sigma,
     worst_case_sigma,
 )
 from sampling_design.certificates.paper.proof_constants import certify_from_proof
 from sampling_design.cli import main
+from sampling_design.design import sample_losses
 from sampling_design.plants.files import write_plant
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Signals

@@ -7,7 +7,8 @@ import os
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, pareto_front, sample_losses, window_sigma
+from sampling_design import Plant, Requirement, design_schedule, pareto_front, window_sigma
+from sampling_design.design import sample_losses
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.plants import library
 from tests.rescale import Units

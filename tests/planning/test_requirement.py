@@ -163,19 +163,19 @@ def test_a_file_comes_back_and_may_hold_its_plant(tmp_path):
     sensors = {"p": {"price": 2.0, "noise_bound": 0.1, "longest_use": 3, "spacing": "2 h", "hours": WEEK["hours"]}}
     wanted = PlanRequirement(goals, grid="15 min", calendar=WEEK, w_bound=[0.1, 0.2], sensors=sensors, cost_limit=9.0)
     for name in ("r.toml", "r.json"):
-        back = sd.read_plan_requirement(write_plan_requirement(wanted, tmp_path / name))
+        back = sd.planning.read_plan_requirement(write_plan_requirement(wanted, tmp_path / name))
         assert back.to_dict() == wanted.to_dict()
     with pytest.raises(FileFormatError, match=r"ends in \.toml or \.json"):
         write_plan_requirement(wanted, tmp_path / "r.csv")
     (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\ngirds = 1\n')
     with pytest.raises(FileFormatError, match="Did you mean 'grid'"):
-        sd.read_plan_requirement(tmp_path / "bad.toml")
+        sd.planning.read_plan_requirement(tmp_path / "bad.toml")
     (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\naccuracy = 3\n')
     with pytest.raises(FileFormatError, match="`accuracy` must be a table of keys and values"):
-        sd.read_plan_requirement(tmp_path / "bad.toml")
+        sd.planning.read_plan_requirement(tmp_path / "bad.toml")
     (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\naim = "most accurate"\n')
     with pytest.raises(FileFormatError, match="cannot be used: `aim`"):
-        sd.read_plan_requirement(tmp_path / "bad.toml")
+        sd.planning.read_plan_requirement(tmp_path / "bad.toml")
     requirement, plant = requirement_and_plant("examples/plans/oscillator.toml")
     assert plant is not None
     assert plant.name == "oscillator"

@@ -119,7 +119,9 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     drawn = front.plot(Figure().subplots()).lines
     assert list(drawn[2].get_ydata()) == [p.deviations.late for p in front.points]
     assert list(drawn[3].get_ydata()) == [p.deviations.lost for p in front.points]
-    losses = sd.sample_losses(sd.design_schedule(OSCILLATOR, requirement.replace(samples=3), starts=1, branches=0))
+    losses = sd.design.sample_losses(
+        sd.design_schedule(OSCILLATOR, requirement.replace(samples=3), starts=1, branches=0)
+    )
     drawn = losses.plot()
     assert len(drawn.collections[0].get_segments()) == 3
     lost = [f"{100 * (low / losses.sigma - 1):+.0f} %" for low in losses.lower]
@@ -210,7 +212,16 @@ def test_no_legend_lies_on_a_curve():
     terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "grid": 0.8}
     plan = sd.plan_samples(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
     others = (sd.robustness(OSCILLATOR, certificate, budget=0.3), front, log, family, plan)
-    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, projection, *others):
+    for record in (
+        design,
+        design.window,
+        certificate,
+        worst,
+        sd.design.sample_losses(design),
+        known,
+        projection,
+        *others,
+    ):
         for ax, legend, inside in shown_legends(record.plot()):
             seen += 1
             assert legend.y0 >= inside.y1 - 2, type(record).__name__

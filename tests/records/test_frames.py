@@ -126,7 +126,7 @@ MAKERS = {
     "PlanComparison": lambda: plan().compare(plan()),
     "EstimateRecord": estimates,
     "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [2, 3], starts=1, branches=0),
-    "SampleLosses": lambda: sd.sample_losses(design()),
+    "SampleLosses": lambda: sd.design.sample_losses(design()),
     "FourHorizons": lambda: sd.certificates.four_horizons(OSCILLATOR, SCHEDULE, certificate()),
     "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
     "SmoothedWindow": smoothed,

@@ -139,7 +139,7 @@ def asked_of(kind, folder, name):
     form, text = ASKED[kind]
     path = folder / "asked.toml"
     path.write_text(f"format = 'sampling-design/{form}'\n{text}available = {name!r}\n")
-    return sd.design.read_requirement(path) if kind == "design" else sd.read_plan_requirement(path)
+    return sd.design.read_requirement(path) if kind == "design" else sd.planning.read_plan_requirement(path)
 
 
 @pytest.mark.parametrize("kind", ASKED)

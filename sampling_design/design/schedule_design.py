@@ -26,7 +26,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, PlainRecord, counted, short
+from sampling_design.records.record import ANSWERS, Plain, PlainRecord, counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -220,6 +220,10 @@ class ScheduleDesign(PlainRecord):
 
     _answers = ("{_what}", "{claim.evidence}", "{_good}", "`.verify()`")
 
+    def _answered(self, most: int = len(ANSWERS)) -> list[tuple[str, str]]:
+        found = super()._answered(most)
+        return found if self.schedule is not None else [each for each in found if each[0] != ANSWERS[-1]]
+
     def _what(self) -> str:
         if self.schedule is None:
             return "no samples needed"
@@ -284,7 +288,7 @@ class ScheduleDesign(PlainRecord):
             "disturbances of typical size that stay leave, without samples": ", ".join(left[:6]),
             "with samples": with_samples,
             "what they buy": (
-                f"accuracy.accuracy_by_count(plant, {decay.counts}, period={decay.to_a_tenth:g}, w_bound=..., "
+                f"sd.accuracy.accuracy_by_count(plant, {decay.counts}, period={decay.to_a_tenth:g}, w_bound=..., "
                 "v_bound=...)"
             ),
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Protocol, cast
@@ -18,6 +19,7 @@ from sampling_design.records.checks import described
 LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
 CARRIED = "sampling_design_plant"
 """Attribute of a system that `Plant.to_control` made: the plant, for what such a system has no place for."""
+AUTOMATIC = re.compile(r"(sys|[uxy])\[\d+\]")  # names that `control` makes where nobody gave one
 PARTS = ("A", "C", "B", "D", "G", "time_unit", "name", "states", "outputs", "inputs", "disturbances", "source")
 SAME_POLE = 1e-6
 """Poles of one output are one, and a zero cancels a pole, within this part of their size: a double root of a polynomial
@@ -82,17 +84,24 @@ def parts_of(system: object) -> dict[str, object]:
     else:
         (A, B, C, D), outputs = realised(*_polynomials(system))
         parts = {"A": A, "C": C, "B": B, "D": D}
-        names = list(getattr(system, "output_labels", None) or (f"y{i + 1}" for i in range(len(C))))
+        names = _given(system, "output_labels") or [f"y{i + 1}" for i in range(len(C))]
         place = [outputs[:k].count(i) for k, i in enumerate(outputs)]
         states = [f"{names[i]}_{k + 1}" for i, k in zip(outputs, place, strict=True)]
         parts |= {"states": states, "outputs": names, "source": "transfer function, in observer form"}
     if getattr(system, "dt", None) not in (None, 0, 0.0):
         parts |= continuous(parts, float(system.dt))  # type: ignore[attr-defined]
     for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
-        labels = getattr(system, theirs, None)
+        labels = _given(system, theirs)
         if labels:
-            parts[mine] = list(labels)
-    return parts | {"name": str(getattr(system, "name", "") or "")}
+            parts[mine] = labels
+    name = str(getattr(system, "name", "") or "")
+    return parts | {"name": "" if AUTOMATIC.match(name) else name}
+
+
+def _given(system: object, kind: str) -> list[str]:
+    """The labels that somebody gave; none where `control` counted them from zero, as x[0], x[1]."""
+    labels = list(getattr(system, kind, None) or ())
+    return [] if all(AUTOMATIC.match(label) for label in labels) else labels
 
 
 def driven(plant: Driven, disturbances: bool) -> tuple[Array, Array]:

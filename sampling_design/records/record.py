@@ -96,7 +96,9 @@ class Displayable:
 
     def __repr__(self) -> str:
         first = [text for _, text in self._answered(3)[2:]]
-        rows = [f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[: 4 - len(first)]]
+        rows = [
+            f"{label.replace(',', '').replace(' ', '_')}={value}" for label, value in self._rows()[: 4 - len(first)]
+        ]
         inside = ", ".join([*first, *rows])
         return f"{self._title()}({inside})".replace("\n", " ")
 

@@ -285,3 +285,9 @@ def test_a_remainder_that_is_no_number_bounds_nothing():
         spin, np.array([1e290 * np.eye(2), 0.0 * np.eye(2)]), 9, node, width, np.array([[np.inf]] * 2)
     )
     assert rest.ravel().tolist() == [np.inf, 0.0]
+
+
+def test_what_needs_no_samples_offers_no_picture():
+    stable = design_schedule(Plant([[-1.0]], [[1.0]]))
+    assert "how to draw" not in str(stable)
+    assert "sd.accuracy.accuracy_by_count(plant, (0, 1, 4), period=" in stable.explain()

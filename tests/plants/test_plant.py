@@ -353,3 +353,10 @@ def test_a_system_of_control_is_given_where_control_is_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(MissingExtraError, match="python-control"):
         library.oscillator().to_control(disturbances=True)
+
+
+def test_names_that_control_makes_are_none():
+    made = Plant(control.tf([1, 2], [1, 3, 2.5]), time_unit="h")
+    assert (made.name, made.outputs.names, made.states.names) == ("", ("y1",), ("y1_1", "y1_2"))
+    named = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], states=["level"], name="tank")
+    assert (Plant(named).name, Plant(named).states.names, Plant(named).outputs.names) == ("tank", ("level",), ("y1",))

@@ -34,7 +34,8 @@ def estimate(
     measurement_file: MeasurementFile,
     certificate_file: CertificateFile = None,
     schedule_file: Annotated[
-        Path | None, typer.Option("--schedule", metavar="FILE", help="Schedule that is certified first.")
+        Path | None,
+        typer.Option("--schedule", "--plan", metavar="FILE", help="Schedule that is certified first, or a plan."),
     ] = None,
     prior: Annotated[str | None, typer.Option(help="State before any sample, with commas between; default 0.")] = None,
     horizon: Annotated[float | None, typer.Option(help="Length of the window; default: the certificate's.")] = None,

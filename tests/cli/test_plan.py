@@ -133,7 +133,7 @@ def small_plan(tmp_path_factory):
 def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
     plan, file, measured = small_plan
     first = file.with_name("plant.toml") if place == "schedule" else file
-    beside = () if place == "plant" else ("--schedule", file)
+    beside = () if place == "plant" else ("--plan", file)
     found = shell("estimate", first, measured, *beside, "--initial-error", "1", "--json")
     assert found.code == 0
     heard = " ".join(found.err.split())

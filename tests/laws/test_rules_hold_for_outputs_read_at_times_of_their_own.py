@@ -100,6 +100,7 @@ def test_what_is_on_time_is_on_time_and_more_tolerance_is_never_better():
     assert loose.upper < both.lower
 
 
+@pytest.mark.long
 def test_a_continuum_of_times_is_met_between_the_points_that_are_looked_at():
     """One sample of two outputs: each has a zero of its own within its times, at no even part of them."""
     A, C = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2)
@@ -122,6 +123,7 @@ def test_a_rule_with_one_schedule_alone_leaves_its_readings_free():
     assert found.lower >= 0.99 * found.upper
 
 
+@pytest.mark.long
 def test_balls_prove_it_and_a_box_holds_its_plants():
     A, C, family, early, late, _ = random_case(6)
     plain, tolerance = worst_case_sigma(Plant(A, C), family, timing_tolerance=table(early, late)), table(early, late)

@@ -150,8 +150,8 @@ def pairs(part: ast.AST) -> list[tuple[str, str]]:
 
 
 def declared(node: ast.Assign) -> list[str]:
-    """The names in what a record declares of itself: its table and its plain data."""
-    if ast.unparse(node.targets[0]) not in ("_table", "_plain"):
+    """The names in what a record declares of itself: its table, its plain data and its answers."""
+    if ast.unparse(node.targets[0]) not in ("_table", "_plain", "_answers"):
         return []
     texts = [each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)]
     return [word for text in texts for word in re.findall(r"\w+", str(text))]

@@ -128,7 +128,7 @@ class WorstCaseSigma(SigmaBracket):
         "{time_unit} apart{_read}",
         "{_grounds}",
         SigmaBracket._good,
-        SigmaBracket._balls.format(at="{_attaining}"),
+        SigmaBracket._balls.format(at="{_attained}"),
     )
     _table = {
         "samples come": "{_late}",
@@ -149,7 +149,7 @@ class WorstCaseSigma(SigmaBracket):
     def _late(self) -> str | None:
         return self.late.describe(self.time_unit) if self.late else None
 
-    def _attaining(self) -> str:
+    def _attained(self) -> str:
         return "reading at `.readings`" if self.late else "the schedule `.witness`"
 
     def _read(self) -> str:

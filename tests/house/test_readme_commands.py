@@ -99,7 +99,7 @@ def test_a_command_is_called_as_its_function():
 
     verbs = [set(name.split("_")) for name in sd.__all__ if name.islower()]
     alone = [name for name in COMMANDS if not any(set(name.split("-")) <= verb for verb in verbs)]
-    assert alone == ["new", "info", "explore", "verify", "estimate", "thyroid"]
+    assert alone == ["new", "info", "losses", "explore", "verify", "estimate", "thyroid"]
 
 
 def test_the_first_pages_show_one_example():

@@ -92,6 +92,14 @@ def detectable():
     return sd.certificates.certify_detectability(HARD)
 
 
+@functools.cache
+def planned():
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="s", states=["level"], outputs=["y"])
+    terms = {"y": {"noise_bound": 0.1}}
+    wanted = sd.PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors=terms)
+    return sd.plan_samples(plant, wanted, search_seconds=0.1, certificate=False, robustness=False, start=False)
+
+
 VERBS = {
     "window_sigma": lambda b: sd.window_sigma(HARD, EASY, 300.0, rtol=1e-9, budget=b),
     "worst_case_sigma": lambda b: sd.worst_case_sigma(HARD, sd.SpacedWindows(20.0, 12, 0.5), rtol=1e-9, budget=b),
@@ -116,12 +124,14 @@ VERBS = {
     "four_horizons": lambda b: sd.certificates.four_horizons(OSCILLATOR, EASY, *compared(), budget=b),
     "least_contracting": lambda b: sd.certificates.least_contracting(uneven(), budget=b),
     "robustness": lambda b: sd.robustness(OSCILLATOR, certificate(), longest=8, budget=b),
+    "next_sample": lambda b: sd.next_sample(planned(), budget=b),
     "Certificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
     "FamilyCertificate.verify": lambda b: family().verify(rigorous=True, budget=b),
     "DetectabilityCertificate.verify": lambda b: detectable().verify(rigorous=True, budget=b),
     "SampledCertificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
 }
 PREPARED = {
+    "next_sample": planned,
     "sample_losses": designed,
     "robustness": certificate,
     "four_horizons": compared,
@@ -203,6 +213,7 @@ def files(tmp_path_factory):
     sd.design.write_requirement(LARGE, place / "requirement.toml")
     sd.schedules.write_schedule(sd.PeriodicSchedule(EASY.gaps, time_unit="s"), place / "schedule.csv")
     certificate().save(place / "certificate.json")
+    planned().save(place / "plan.json")
     record = sd.simulate_record(HARD, EASY, 200.0).measurements
     sd.estimators.write_measurements(record, place / "measurements.csv")
     return place
@@ -216,6 +227,7 @@ COMMANDS = {
     "pareto": ["pareto", "plant.toml", "requirement.toml", "--counts", "16-20"],
     "losses": ["losses", "plant.toml", "requirement.toml"],
     "robustness": ["robustness", "oscillator.toml", "certificate.json"],
+    "next": ["next", "plan.json"],
     "verify": ["verify", "certificate.json", "--rigorous"],
     "accuracy": ["accuracy", "oscillator.toml", "schedule.csv", "--w", "0.1", "--v", "0.1", "--rtol", "1e-6"],
     "compare": ["compare", "plant.toml", "schedule.csv", "measurements.csv", "--window", "100"],

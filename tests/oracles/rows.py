@@ -49,7 +49,10 @@ def worst_energy(A, C, G, samples, start, t, rows, prior, Qw, Rtilde, eta, nodes
     sizes = np.linalg.norm(M[:, :n], axis=0)
     V = np.linalg.svd(prior / sizes)[2].T
     free, others = np.split(V, [len(prior)], axis=1)[::-1]
-    if max(np.linalg.norm(X / sizes @ free) / np.linalg.norm(X / sizes) for X in (begun, M[:, :n])) > ENTERS:
+    # what w leaves of a start may be far smaller than the terms whose difference it is, and then is their rounding
+    terms = np.linalg.norm(L[:, :n] / sizes) + np.linalg.norm(driven, 2) * np.linalg.norm(R[:m, m:] / sizes)
+    costs = np.linalg.norm(M[:, :n] / sizes)
+    if max(np.linalg.norm(begun / sizes @ free) / terms, np.linalg.norm(M[:, :n] / sizes @ free) / costs) > ENTERS:
         return np.inf
     reach = np.linalg.lstsq((left / sizes @ others).T, (begun / sizes @ others).T, rcond=None)[0].T
     return float(np.linalg.norm(np.hstack([driven, reach]), 2) ** 2)

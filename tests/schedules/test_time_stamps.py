@@ -91,7 +91,8 @@ def test_bad_arguments(table):
     path = table("time\n1\n")
     with pytest.raises(ArgumentError, match="`time_unit` must be one of"):
         import_time_stamps(path, "hours")
-    with pytest.raises(ArgumentError, match="must be a date like"):
-        import_time_stamps(path, "h", origin="Monday")
+    for text in ("Monday", "2026-03-02T08:00[Europe/Berlin"):
+        with pytest.raises(ArgumentError, match="must be a date like"):
+            import_time_stamps(path, "h", origin=text)
     with pytest.raises(ArgumentError, match="`origin` must be a text or a datetime, got int 5"):
         import_time_stamps(path, "h", origin=5)

@@ -95,11 +95,9 @@ def zoned_date(text: str) -> datetime:
     Raises ValueError if it is no such date, ArgumentError if there is no such zone.
     """
     stem, bracket, zone = text.partition("[")
-    date = datetime.fromisoformat(stem)
+    date = datetime.fromisoformat(stem if zone.endswith("]") else text)
     if not bracket:
         return date
-    if not zone.endswith("]"):
-        raise ValueError(text)
     place = time_zone(zone[:-1])
     return date.replace(tzinfo=place) if date.tzinfo is None else date.astimezone(place)
 

@@ -97,12 +97,15 @@ def test_multipliers_that_leave_a_gap_out_prove_nothing():
     bound = bounded(problem, reached(problem, even(problem)))
     (part,) = bound.parts
     assert bound.value_for(problem) == part.value
+    finer = problem.period / (problem.samples * (part.tilt.size // problem.samples)) * np.arange(40_000)
     wrong = [
         replace(part, starts=part.starts[1:], weights=part.weights[1:]),
         replace(part, starts=part.starts[:-1], weights=part.weights[:-1]),
         replace(part, starts=part.starts[::-1]),
         replace(part, starts=part.starts * 1.01),
+        replace(part, starts=finer, weights=np.ones((finer.size, 1, 1)) * part.weights[0]),
         replace(part, tilt=part.tilt[:-1]),
+        replace(part, tilt=np.zeros(part.tilt.size * 10**5)),
         replace(part, weights=part.weights - 0.01 * np.eye(2)),
         replace(part, weights=part.weights * (np.arange(len(part.weights)) != 3)[:, None, None]),
     ]

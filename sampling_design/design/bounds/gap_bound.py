@@ -267,12 +267,14 @@ def gap_bound(problem: DesignProblem, found: GapMultipliers, traces: Array) -> f
     """Bound sigma of every schedule by multipliers whose `traces` (N,) in the plant's coordinates are those."""
     posed, size = _grid(problem), found.potential.size
     parts = 0 if posed is None else size // (problem.samples * posed.periods)
-    if not parts or len(found.gaps) < 2 or np.any(traces <= problem.rows.rounding):
+    known = 0 < parts <= _MOST_PARTS and found.gaps.size > 1  # a file's own grid may be too fine to be judged
+    if not known or np.any(traces <= problem.rows.rounding):
         return np.inf
     coarse = _Grid(problem, parts)
     nodes = np.rint(found.gaps / coarse.width)
     on = np.all(np.abs(found.gaps / coarse.width - nodes) <= 1e-9 * size) and np.all(np.diff(nodes) > 0)
-    if not on or size != coarse.count or nodes[0] > coarse.ends[0] or nodes[-1] < coarse.ends[1]:
+    low, high = coarse.ends
+    if not on or size != coarse.count or not 0 <= nodes[0] <= low or not high <= nodes[-1] <= size:
         return np.inf
     times = max(1, round(_FINE / size))
     grid = _Grid(problem, parts * times)

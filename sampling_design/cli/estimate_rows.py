@@ -131,10 +131,8 @@ def followed(
         guarantee = f"Radii hold if at most {most} of the {f'last {among[0]} ' if among else ''}samples are outliers."
     asked = options.radii or ("centred" if outliers else _usual(settings, estimator, record))
     kind, plant, folder = check_radii(asked), estimator.plant, settings.folder()
-    drawn = folder is not None and not settings.no_picture
-    curve = (
-        CurveCollector(estimator, centred=kind == "centred", start=estimator.state.last.t) if drawn and tube else None
-    )
+    drawn, centred = folder is not None and not settings.no_picture, kind == "centred"
+    curve = CurveCollector(estimator, centred=centred, start=estimator.state.last.t) if drawn and tube else None
     envelope = EstimateEnvelope.over(plant, record.times) if drawn and not tube else None
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
@@ -143,7 +141,7 @@ def followed(
         for each in (rows, columns):
             if each is not None:
                 open_files.enter_context(each)
-        counts, last = EstimateCounts(plant.time_unit, kind == "centred", record.origin), None
+        counts, last = EstimateCounts(plant.time_unit, centred, record.origin), None
         counted = counts if columns is None else columns.counts
         with settings.progress("estimate") as progress:
             for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):

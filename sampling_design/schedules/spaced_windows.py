@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from sampling_design.schedules.family import (
     in_family_unit,
     pick,
 )
-from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -88,24 +86,6 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             check_time_unit(self.time_unit)
         if (count - 1) * spacing > self.window * (1 + ROUNDING):
             raise self._infeasible(f"{count} samples {short(spacing)} apart need {short((count - 1) * spacing)}")
-
-    def loosened(self, timing_tolerance: Timing) -> Self:
-        """Return the rule that real times keep where samples are planned by this one and come early or late.
-
-        A window that is early and late together longer holds all that was planned in the shorter one, and samples lie
-        so much nearer at least.
-
-        Raises
-        ------
-        ArgumentError
-            If samples could change places, or outputs have tolerances of their own.
-        """
-        late = TimingTolerance.of(timing_tolerance)
-        if not late:
-            return self
-        late.require_together("a rule for windows")
-        late.require_order(self.spacing)
-        return replace(self, window=self.window + late.span, spacing=self.spacing - late.span)
 
     def _infeasible(self, what: str) -> InfeasibleRequirementError:
         # the room of an endless schedule, k epsilon <= T, is offered: it also fits one window

@@ -96,7 +96,7 @@ def test_what_is_on_time_is_on_time_and_more_tolerance_is_never_better():
     said = found.deviations
     assert (said.late, said.late_wider, said.lost) == pytest.approx((found.lower, found.lower, lost), rel=1e-9)
     # samples that may change places are a wider rule than real times keep, and show less
-    loose = worst_case_sigma(Plant(A, C), family.loosened((0.0, 0.1)))
+    loose = worst_case_sigma(Plant(A, C), replace(family, window=family.window + 0.1, spacing=family.spacing - 0.1))
     assert loose.upper < both.lower
 
 

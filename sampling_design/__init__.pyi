@@ -31,7 +31,7 @@ from sampling_design.design.problem.requirement_file import read_requirement as 
 from sampling_design.errors import ArgumentError as ArgumentError
 from sampling_design.errors import SamplingDesignError as SamplingDesignError
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints
-from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
 from sampling_design.estimators.records.measurements import Measurements as Measurements
@@ -56,7 +56,7 @@ from sampling_design.schedules.lost_samples import LostSamples as LostSamples
 from sampling_design.schedules.schedule import PeriodicSchedule as PeriodicSchedule
 from sampling_design.schedules.schedule import Schedule as Schedule
 from sampling_design.schedules.spaced_windows import SpacedWindows as SpacedWindows
-from sampling_design.uncertain.plants.parameter import UncertainParameter as UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter as UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant as UncertainPlant
 from sampling_design.validation.comparison import validate as validate
 from sampling_design.validation.scenario import simulate_record as simulate_record

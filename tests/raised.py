@@ -22,7 +22,7 @@ ROOTS = {
     "errors": "SamplingDesignError",
     "checkers.strict": "BadFile",
     "checkers.outcome": "Refused",
-    "explorer.socket_frames": "ConnectionOver",
+    "explorer.server": "ConnectionOver",
     "records.budget": "BudgetSpentError",
     "certificates.exact.weight_choice": "_WorkExhausted",
     "records.signatures": "_UncheckedAnnotation",

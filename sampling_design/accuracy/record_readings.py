@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import Bound, SignalBounds
-from sampling_design.accuracy.dated_start import start_of_dated
+from sampling_design.accuracy.dated_start import resolved, start_of_dated
 from sampling_design.accuracy.readings import (
     Arrived,
     CensoredReading,
@@ -25,7 +25,6 @@ from sampling_design.accuracy.readings import (
     input_at,
 )
 from sampling_design.accuracy.record_program import RecordProgram
-from sampling_design.accuracy.uncertain_times import resolved
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks

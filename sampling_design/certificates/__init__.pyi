@@ -32,8 +32,8 @@ from sampling_design.certificates.existence.periodic import certificate_exists a
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
 from sampling_design.certificates.families.family_certificate import FamilyCertificate as FamilyCertificate
 from sampling_design.certificates.files import read_certificate as read_certificate
-from sampling_design.certificates.form.constants import Constant as Constant
-from sampling_design.certificates.form.constants import ConstantList as ConstantList
+from sampling_design.certificates.form.horizon import Constant as Constant
+from sampling_design.certificates.form.horizon import ConstantList as ConstantList
 from sampling_design.certificates.form.horizon import Horizon as Horizon
 from sampling_design.certificates.form.verdict import Verification as Verification
 from sampling_design.certificates.paper.proof_constants import ProofConstants as ProofConstants

@@ -17,10 +17,9 @@ from sampling_design.certificates.exact.canonical import ScaledProblem, canonica
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
 from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, certifiable_schedule, weights_of
-from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
-from sampling_design.certificates.exact.retained_part import retained_part_weights, search_units
+from sampling_design.certificates.exact.retained_part import own_decay, retained_part_weights, search_units
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
     SEARCH_WORK,
@@ -32,7 +31,7 @@ from sampling_design.certificates.exact.weight_choice import (
     round_choices,
 )
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.alignment import align

@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, SampledCertificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
+from sampling_design.certificates.families.graphs import Edge, PathCompleteGraph
 from sampling_design.checkers import claims, detectability, family_file, schedule_file
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import BadFile, Tree

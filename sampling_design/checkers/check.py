@@ -20,8 +20,7 @@ if not __package__:  # run as a file: its folder is the package
     __import__(__package__)
 
 if TYPE_CHECKING:
-    from .outcome import Proven, Verdict
-    from .work import WorkLimit
+    from .outcome import Proven, Verdict, WorkLimit
 
 
 def verdict(data: Mapping[str, object], work: "WorkLimit | None" = None) -> "Verdict":
@@ -40,8 +39,7 @@ def verdict_on(content: object, prove: "Callable[..., Proven]", work: "WorkLimit
     """Return the `Verdict` on the judged content of a file, as its claim proves it."""
     import numpy as np
 
-    from .outcome import PROVEN, UNDECIDED, Refused, Verdict, refused
-    from .work import MOST_WORK, WorkLimit
+    from .outcome import MOST_WORK, PROVEN, UNDECIDED, Refused, Verdict, WorkLimit, refused
 
     try:
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound

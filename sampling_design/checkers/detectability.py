@@ -18,10 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .numbers import EPS
-from .outcome import Proven, Refused
+from .outcome import Proven, Refused, WorkLimit
 from .parts import AROUND, RATES, SOLVER, Claim, Plant, symmetric
 from .strict import Array, Tree, matrix, or_nothing, positive, table, word
-from .work import WorkLimit
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows

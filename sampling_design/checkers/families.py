@@ -12,10 +12,9 @@ from .cover import judge
 from .family_file import OF_FAMILY, OfFamily, of_family
 from .frame import Frame, largest, size, turned
 from .numbers import EPS, definite, problem, targets
-from .outcome import Proven, Refused, holds
+from .outcome import Proven, Refused, WorkLimit, holds
 from .parts import Claim
 from .strict import Array, Index
-from .work import WorkLimit
 
 CELLS = 8  # cells per interval at first
 ROUNDS = 40  # halvings of a cell

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .numbers import EPS, Problem
-from .outcome import Undecided
+from .outcome import MOST_WORK, Undecided, WorkLimit
 from .strict import Array, Index, Mask
-from .work import MOST_WORK, WorkLimit
 
 APART = 1e-6  # relative gap of two speeds from which on they are told apart
 FLOOR = 1e-6  # of the larger one of two parts: what couples them by rounding counts 1/sqrt(this) times

@@ -24,10 +24,9 @@ import numpy as np
 from .interval_file import INTERVAL, OfInterval, of_interval
 from .long_numbers import UNIT, doubles, long, long_flow, product
 from .numbers import EPS, safe
-from .outcome import Proven, Refused, Undecided, holds
+from .outcome import Proven, Refused, Undecided, WorkLimit, holds
 from .parts import Claim
 from .strict import Array, Mask
-from .work import WorkLimit
 
 PANEL = 1 / 128  # length of a panel times |A|, at most
 LEAST_PANELS = 64  # of one gap

@@ -7,10 +7,9 @@ import numpy as np
 
 from .inclusion_file import Inclusion, Region
 from .numbers import EPS
-from .outcome import Refused, Undecided
+from .outcome import Refused, Undecided, WorkLimit
 from .slopes import Parts, enclosed
 from .strict import Array, Mask
-from .work import WorkLimit
 
 CORNERS = 6  # directions of a cell's Jacobian whose corners are tried; the others are a perturbation
 MORE_CORNERS, FEW = 10, 16  # the same where no more than so many cells are judged at once

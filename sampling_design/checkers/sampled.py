@@ -14,11 +14,10 @@ import numpy as np
 
 from .frame import Flows, Frame, dominating, largest, least, size, turned
 from .numbers import EPS, RESOLUTION, Problem, problem, targets
-from .outcome import Proven, Refused, Undecided, holds
+from .outcome import Proven, Refused, Undecided, WorkLimit, holds
 from .parts import Claim
 from .schedule_file import SAMPLED, Sampled, Times, Witness, of_schedule
 from .strict import Array, Index, Mask
-from .work import WorkLimit
 
 REPLAY = 1e-6  # what a witness may miss of its ratio
 CELLS = 4  # start cells per gap at first

@@ -24,10 +24,9 @@ from sampling_design.estimators.estimate_file import (
     estimates_along,
     usual_radii,
 )
-from sampling_design.estimators.online.counts import EstimateCounts
-from sampling_design.estimators.online.curve import CurveCollector
-from sampling_design.estimators.online.envelope import EstimateEnvelope
+from sampling_design.estimators.online.curve import CurveCollector, EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import EstimateCounts
 from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.estimators.records.measurement_table import time_or_date
@@ -75,10 +74,7 @@ class EstimateOptions:
     def most_outliers(self) -> int | tuple[int, int]:
         """How many samples may be outliers, of the last so many.
 
-        Raises
-        ------
-        ArgumentError
-            If the text is no such numbers, or does not go with another option.
+        Raises ArgumentError if the text is no such numbers, or does not go with another option.
         """
         if self.outliers is None:
             return 0

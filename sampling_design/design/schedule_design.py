@@ -18,9 +18,8 @@ from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_in
-from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.observability.windows.window_record import WindowSigma
-from sampling_design.observability.windows.window_sigma import window_sigma
+from sampling_design.observability.windows.window_sigma import deviations_of, window_sigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words

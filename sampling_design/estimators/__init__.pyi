@@ -7,10 +7,10 @@ from sampling_design.estimators import window as window
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet as ConvexSet
 from sampling_design.estimators.estimate_file import write_estimates as write_estimates
-from sampling_design.estimators.estimation import estimate as estimate
 from sampling_design.estimators.estimator_choice import RecordEstimator as RecordEstimator
+from sampling_design.estimators.estimator_choice import estimate as estimate
 from sampling_design.estimators.estimator_choice import estimator_for as estimator_for
-from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
 from sampling_design.estimators.online.curve import estimate_curve as estimate_curve

@@ -16,10 +16,9 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
-from sampling_design.estimators.online.counts import EstimateCounts
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
-from sampling_design.estimators.online.estimator import EstimateRecord
+from sampling_design.estimators.online.estimator import EstimateCounts, EstimateRecord
 from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator, few_intervals
 from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import Measurements, cell_of

@@ -1,4 +1,4 @@
-"""The estimator of a record, with the strongest guarantee that is at hand: of its gaps, of its own times, or none."""
+"""From a record to estimates, by any estimator, or by that with the strongest guarantee at hand."""
 
 from __future__ import annotations
 
@@ -8,22 +8,82 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import time_or_span
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import MathematicsError, SolverError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.estimators.online.estimator import EstimateRecord, Estimator, GuaranteeWarning, estimate_from
+from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
+from sampling_design.records import checks
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import Schedule
+
+
+@open_verb(EstimateRecord)
+def estimate(
+    plant: Plant,
+    record: object,
+    estimator: Estimator,
+    *,
+    prior: npt.ArrayLike | None = None,
+    prior_time: float = 0.0,
+    of: Wanted = None,
+) -> EstimateRecord:
+    """Return the estimates of an estimator, started anew, at every sample of a record.
+
+    Parameters
+    ----------
+    plant : Plant
+    record : Measurements, DataFrame or iterable of (t, y, u)
+        Gone through in order of time.
+    estimator : Estimator
+        Any object with `start(prior, prior_time)`, `update(t, y, u)` and `predict(t)`: those of this package, or one of
+        your own, which may return the state alone.
+    prior : (n,) array, optional
+        State at `prior_time`; default 0.
+    prior_time : float [time]
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
+        is given, estimator and prior, and what is returned is of the part that they need. Default: all states.
+
+    Returns
+    -------
+    EstimateRecord
+        As `update` returned them: `run` of a moving horizon estimator, which this does not call, centres them. Of an
+        estimator that returns states alone nothing is certified, and every radius is infinite.
+
+    Raises
+    ------
+    ArgumentError
+        If the record cannot be gone through, the prior has the wrong length, or the estimator returns no state.
+
+    Examples
+    --------
+    >>> from sampling_design import KalmanFilter
+    >>> plant = Plant([[-1.0]], [[1.0]])
+    >>> found = estimate(plant, [(0.0, [1.0]), (1.0, [0.4])], KalmanFilter(plant))
+    >>> found.x.shape
+    (2, 1)
+    """
+    plant = part_for(plant, of)
+    n = plant.n_states
+    taken, origin = listed(record, plant)
+    samples = [triple(item) for item in taken]
+    begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
+    estimator.start(begin, checks.number("prior_time", prior_time))
+    results = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
+    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in results], origin)
+
 
 GAPS_IN_HORIZON = 10  # longest gaps in the horizon of an estimator that has no certificate
 

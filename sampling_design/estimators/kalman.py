@@ -10,20 +10,24 @@ import numpy.typing as npt
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import WeighedBounds, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import MeasuredSample, Recorder, SolvedSample
-from sampling_design.estimators.online.rounding import scaled_bound
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
-from sampling_design.estimators.online.verdict import ROUNDING, judged, overflowed, rounding_energy, too_large
+from sampling_design.estimators.online.verdict import (
+    ROUNDING,
+    judged,
+    overflowed,
+    rounding_energy,
+    scaled_bound,
+    too_large,
+)
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart

@@ -13,29 +13,24 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.as_written import problem_as_written
-from sampling_design.estimators.constraints.assumed import narrowed
-from sampling_design.estimators.constraints.constraints import Constraints
+from sampling_design.estimators.constraints.constraints import Constraints, WindowConstraints, narrowed
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import solve_constrained
-from sampling_design.estimators.constraints.window_constraints import WindowConstraints
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import WeighedBounds, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.evidence import SUSPECTS
-from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import MeasuredSample, Recorder, SolvedSample
-from sampling_design.estimators.online.rounding import scaled_bound
-from sampling_design.estimators.online.schedule_watch import ScheduleClaim
+from sampling_design.estimators.online.schedule_watch import ScheduleClaim, choose_horizon
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
     SolveVerdict,
     judged,
     overflowed,
     rounding_energy,
+    scaled_bound,
     too_large,
 )
 from sampling_design.estimators.window.smoother import smooth

@@ -13,7 +13,7 @@ from sampling_design.accuracy.readings import Arrived
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import TOGETHER
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
@@ -64,12 +64,10 @@ def estimates_despite_outliers(
         Brings plant and prior.
     record : Measurements
         In order of time.
-    bounds : ErrorBoundArguments
     outliers : int or (int, int)
         As for `state_interval`.
     smooth : bool
         Whether later rows count too.
-    progress : callable, optional
     """
     rows, read = list(record), np.cumsum(record.measured.any(axis=1))
     most = len(left_out(outliers, int(read[-1]))[0])

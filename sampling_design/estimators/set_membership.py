@@ -6,9 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.assumed import narrowed
-from sampling_design.estimators.constraints.constraints import Constraints
-from sampling_design.estimators.constraints.window_constraints import WindowConstraints
+from sampling_design.estimators.constraints.constraints import Constraints, WindowConstraints, narrowed
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.estimate import Estimate, changed
 from sampling_design.estimators.online.history import EstimatorState

@@ -13,14 +13,13 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sampling_design.accuracy.readings import RecordRow
+from sampling_design.estimators.constraints.constraints import WindowConstraints
 from sampling_design.estimators.constraints.convex_set import all_inside
-from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
 from sampling_design.estimators.online.recorder import SolvedSample
-from sampling_design.estimators.online.rounding import rounding, scaled_bound
-from sampling_design.estimators.online.verdict import judged
+from sampling_design.estimators.online.verdict import judged, rounding, scaled_bound
 from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import own_box

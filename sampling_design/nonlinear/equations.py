@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_list, is_table
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear._casadi import casadi
-from sampling_design.nonlinear.functions import KeptFunction, PlantFunctions, takes_time
+from sampling_design.nonlinear.functions import KeptFunction, PlantFunctions, casadi, takes_time
 from sampling_design.nonlinear.region import StateRegion, own_box
 from sampling_design.plants.plant import Plant, Signals, signals_of
 from sampling_design.records import checks

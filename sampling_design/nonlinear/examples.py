@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks

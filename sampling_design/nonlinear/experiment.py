@@ -12,10 +12,10 @@ import numpy as np
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.nonlinear import thyroid as model
-from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, SolverRun
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.patient_run import PatientRun
@@ -85,17 +85,10 @@ def patient_run(
 
     Parameters
     ----------
-    case : one of `CASES`
     run : int
         Number of the realisation; the same number has the same noise in every case.
-    days : float
-    seed : int
     degree : int
         Of the polynomials of the state on pieces of 2 h.
-
-    Returns
-    -------
-    PatientRun
     """
     checks.word("case", case, CASES)
     steps = _grid_steps(days)

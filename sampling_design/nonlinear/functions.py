@@ -5,15 +5,25 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from sampling_design.nonlinear._casadi import casadi
+from sampling_design.errors import MissingExtraError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
     from casadi import SX, Function
+
+
+def casadi() -> ModuleType:
+    """Return the module casadi. Raises MissingExtraError if it is not installed; the message names the extra."""
+    try:
+        return import_module("casadi")
+    except ImportError:
+        raise MissingExtraError("casadi", "nonlinear") from None
 
 
 Equation: TypeAlias = "Callable[[SX, SX, SX], SX]"

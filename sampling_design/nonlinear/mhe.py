@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import OnlineEstimator
+from sampling_design.estimators.online.schedule_watch import choose_horizon
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram

@@ -15,7 +15,7 @@ import numpy as np
 from sampling_design.checkers.strict import Tree
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.gap_flows.flows import discounted_length
-from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.newton import CondensedNewton
 from sampling_design.nonlinear.region import StateRegion

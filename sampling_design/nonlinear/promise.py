@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import MATRICES, CostFunction
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -137,7 +137,6 @@ class InclusionPromise:
 
         Parameters
         ----------
-        trajectory : WindowTrajectory
         prior : (n,) array
             Estimate at the window's start, before the sample there if that one counts.
         square : float

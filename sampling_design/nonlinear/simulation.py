@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.collocation import BETWEEN
+from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid import DAY, constants_of, loop
 from sampling_design.plants.plant import Signals

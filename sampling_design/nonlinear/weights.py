@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.window_records import ProgramPoint, WindowData
 from sampling_design.records.arrays import Array
 

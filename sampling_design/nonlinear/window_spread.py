@@ -42,10 +42,8 @@ def spread_of(
     Parameters
     ----------
     edges : (K+1,) array
-    slopes : WindowSlopes
     root : (n, n) array
         Upper triangular; its square weighs the error at the window's start.
-    weights : NonlinearWeights
     jumps : (K, n) array, optional
         Added to the state at the end of each interval; `bias` is what the estimator makes of them.
     """

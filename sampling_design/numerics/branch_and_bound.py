@@ -32,7 +32,6 @@ def all_proven(
     parts_of : callable
         Nothing (an empty sequence) for a cell that is proven, else the parts that are open in its place, the last of
         which is next; None where it can neither be proven nor cut, which ends the search.
-    budget : Budget
     price : float
         Of a cell, in operations of about a microsecond, for budgets that count them.
 

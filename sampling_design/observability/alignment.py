@@ -25,7 +25,6 @@ def align(plant: Plant, schedule: TimesKind) -> TimesKind:
 
     Parameters
     ----------
-    plant : Plant
     schedule : Schedule or PeriodicSchedule
         Without a unit its times are in the plant's; without output names its columns are the plant's
         outputs in their order. With names it may list them in another order or leave some out; an

@@ -5,7 +5,7 @@ from sampling_design.records.lazy import lazy
 _NAMES = {
     "files": ("read_plan",),
     "plan": ("plan_samples",),
-    "plan_folder": ("write_plan",),
+    "plan_record": ("write_plan",),
     "requirement": ("PlanRequirement",),
     "requirement_file": ("read_plan_requirement",),
     "upcoming_sample": ("next_sample",),

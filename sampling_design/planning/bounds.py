@@ -12,8 +12,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sampling_design.planning.cost_proof import CostProof, CostTree
 from sampling_design.planning.covering import CoveringRows, Key, relaxed
+from sampling_design.planning.evidence import CostProof, CostTree
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.records.arrays import Array

@@ -28,9 +28,8 @@ from sampling_design.checkers.strict import (
     table,
     word,
 )
-from sampling_design.planning.cost_proof import CostProof, CostTree
 from sampling_design.planning.discrete_plant import DiscretePlant, discretize
-from sampling_design.planning.evidence import PlanBound, trajectory_of
+from sampling_design.planning.evidence import CostProof, CostTree, PlanBound, trajectory_of
 from sampling_design.planning.figures import LEFT_OUT, PlanStart
 from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan

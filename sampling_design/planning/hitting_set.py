@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.cost_proof import CostProof, CostTree, proven_cost
 from sampling_design.planning.covering import CoveringRows, Key
+from sampling_design.planning.evidence import CostProof, CostTree, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.work_prices import MEETING
 from sampling_design.records.arrays import Index, Mask

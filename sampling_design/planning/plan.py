@@ -21,11 +21,10 @@ from sampling_design.errors import (
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.coarser_grid import coarser, lifted_choices, lifted_trajectories
-from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import discretize, finer_grid, modes_of
 from sampling_design.planning.disturbed import plan_robustness
-from sampling_design.planning.evidence import EASED, PlanBound, gathered
+from sampling_design.planning.evidence import EASED, CostProof, PlanBound, gathered
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, limit_of, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan

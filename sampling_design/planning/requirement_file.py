@@ -119,9 +119,10 @@ def plan_requirement_from_dict(data: Mapping[str, object], where: str = "require
 def write_plan_requirement(requirement: PlanRequirement, path: str | os.PathLike[str]) -> Path:
     """Write the requirement of a plan as `.toml` or `.json`, whole or not at all; return the path.
 
+    Raises FileFormatError if the ending is neither, or the file cannot be written.
+
     Parameters
     ----------
-    requirement : PlanRequirement
     path : path
         The format is told by the ending.
 
@@ -129,10 +130,5 @@ def write_plan_requirement(requirement: PlanRequirement, path: str | os.PathLike
     -------
     Path
         Where it was written.
-
-    Raises
-    ------
-    FileFormatError
-        If the ending is neither, or the file cannot be written.
     """
     return write_tree(path, requirement.to_dict(), "a requirement")

@@ -29,9 +29,10 @@ td.day { font-weight: bold; } td.blank { min-width: 7em; } .note { font-size: 9p
 def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str = "") -> Path:
     """Write the dates of a plan as a page that prints on A4: a line for each sample with a cell for each value.
 
+    Raises FileFormatError if the ending is another, or the file cannot be written.
+
     Parameters
     ----------
-    dates : PlanDates
     path : path
         Ends in .html.
     person : str
@@ -41,11 +42,6 @@ def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str =
     -------
     Path
         Where it was written.
-
-    Raises
-    ------
-    FileFormatError
-        If the ending is another, or the file cannot be written.
     """
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise FileFormatError(f"{path}: a sheet ends in .html, got {Path(path).suffix!r}.", os.fspath(path))

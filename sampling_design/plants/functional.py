@@ -168,7 +168,6 @@ def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Pl
 
     Parameters
     ----------
-    plant : Plant
     hidden : (n, m) array
         Independent columns that span it.
     weights : (n,) array

@@ -50,13 +50,8 @@ def requested_rows(plant: Plant, of: Wanted = None) -> RequestedRows:
 
     Parameters
     ----------
-    plant : Plant
     of : str, sequence of str, or (r, n) array, optional
         The row of an output is C (without D u and v).
-
-    Returns
-    -------
-    RequestedRows
     """
     if of is None:
         return RequestedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)

@@ -1,13 +1,16 @@
-"""What a certificate proves: four horizons side by side, and the information that a window keeps."""
+"""What certificates prove: their horizons, the information of a window, and what they survive."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import shorten
 
 import numpy as np
+from matplotlib import ticker
 from matplotlib.axes import Axes
 
 from sampling_design.certificates.compare.four_horizons import FourHorizons
+from sampling_design.certificates.compare.robustness import Robustness
 from sampling_design.certificates.compare.tradeoff import TradeoffCurve
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.information import InformationCurve, information_curve
@@ -18,6 +21,109 @@ from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plotting import style
 from sampling_design.records.record import short
 from sampling_design.records.units import readable_unit
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
+
+
+def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw lambda over the timing error (on `ax` alone if given), and below it over the losses."""
+    if ax is not None:
+        return _radii(result, ax)
+    lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated)
+    losses = f"losses of {lost}" if lost else "no loss"
+    unit = result.certificate.plant.time_unit or ""
+    words = f"survives timing errors up to {short(result.radius, 4)} {unit} and {losses}"
+    # a panel of losses only where some were tried with a lambda to show
+    found = any(np.isfinite(loss.lam) for loss in result.losses)
+    figure, panels = style.new_figure(2 if found else 1, row_height=2.8)
+    _radii(result, panels[0])
+    if found:
+        _losses(result, panels[1])
+    figure.suptitle(words, wrap=True)
+    return panels
+
+
+def _radii(result: Robustness, ax: Axes) -> Axes:
+    good = [t for t in result.trials if t.survives]
+    bad = [t for t in result.trials if not t.survives]
+    ax.plot(
+        [t.family.timing_tolerance for t in good],
+        [t.lam for t in good],
+        "o-",
+        color=style.PROVEN,
+        label="survives, proven",
+    )
+    if bad:
+        ax.plot(
+            [t.family.timing_tolerance for t in bad],
+            _heights(result, [t.lam for t in bad]),
+            "x",
+            color=style.FAILED,
+            label="not proven",
+        )
+    _limit(result, ax)
+    ax.axvline(result.radius, color=style.PROVEN, linewidth=1.0)
+    ax.set_xlabel(style.time_label(result.certificate.plant.time_unit, "timing error of every sample"))
+    style.legend(ax)
+    return ax
+
+
+def _losses(result: Robustness, ax: Axes) -> Axes:
+    for d in sorted({loss.family.most for loss in result.losses}):
+        mine = [loss for loss in result.losses if loss.family.most == d]
+        heights = _heights(result, [loss.lam for loss in mine])
+        for loss, height in zip(mine, heights, strict=True):
+            colour = style.PROVEN if loss.survives else style.FAILED
+            ax.plot([loss.family.of], [height], "o" if loss.survives else "x", color=colour)
+            ax.annotate(
+                f"{d} lost", (loss.family.of, height), xytext=(5, 3), textcoords="offset points", fontsize="small"
+            )
+    _limit(result, ax)
+    ax.set_xlim(1, max((loss.family.of for loss in result.losses), default=2) + 1)
+    ax.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
+    ax.set_xlabel("consecutive samples among which they are counted")
+    return ax
+
+
+def _heights(result: Robustness, lams: Sequence[float]) -> list[float]:
+    """Lambdas to draw; where none was found, a mark above the limit."""
+    return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
+
+
+def _limit(result: Robustness, ax: Axes) -> None:
+    unit = result.certificate.plant.time_unit or ""
+    label = f"limit of the horizon {short(result.length, 4)} {unit}".rstrip()
+    ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
+    style.log_axis(ax)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low / 1.2, high * 1.2)
+    ax.set_ylabel("lambda")
+
+
+def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) -> Axes:
+    """Draw eigenvalues of P(tau) relative to P1 over the time since the last sample; samples may come in the band."""
+    ax = style.new_axes(ax)
+    L = np.linalg.cholesky(certificate.P1)
+    half = np.linalg.solve(L, certificate.P)
+    values = np.linalg.eigvalsh(np.linalg.solve(L, np.swapaxes(half, 1, 2)))
+    times = np.insert(certificate.nodes, breaks := np.flatnonzero(certificate.nodes == 0)[1:], np.nan)
+    for k, column in enumerate(values.T):  # a word after another, the pen lifted
+        label = "eigenvalues of P(tau) relative to P1" if not k else None
+        ax.plot(times, np.insert(column, breaks, np.nan), color=style.MEASURED, linewidth=1.3, marker=".", label=label)
+    ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
+    ax.axhline(
+        certificate.lam, color=style.PROVEN, linestyle="--", linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}"
+    )
+    style.log_axis(ax)
+    ax.axvspan(
+        certificate.min_gap, certificate.d_max, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come"
+    )
+    style.time_axis(ax, certificate.plant.time_unit, "time since the last sample")
+    ax.set_ylabel("information relative to P1")
+    plant, longest = certificate.plant, short(certificate.d_max, 4)
+    ax.set_title(f"{plant.name or 'plant'}: proven for gaps up to {longest} {plant.time_unit}", loc="left")
+    style.legend(ax, 2)
+    return ax
+
 
 _COLOURS = (style.PROVEN, style.PROVEN, style.PROVEN, style.ATTAINED)  # the last is reached, the others are bounds
 

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 
 
 def now() -> float:

@@ -65,7 +65,6 @@ def said(record: object, template: str) -> str | None:
 
     Parameters
     ----------
-    record : object
     template : str
         "{eta} 1/{plant.time_unit}", "{margin:3}" with so many digits, "{name:or -}" with a word for what is None or
         empty (none: the line is left out).
@@ -90,7 +89,6 @@ def selected(record: object, what: str) -> dict[str, Plain]:
 
     Parameters
     ----------
-    record : object
     what : str
         Their names, "eta margin". "key:plant.time_unit" is one that stands elsewhere, "cost?" is left out where it is
         None or empty, and of "rows{names matrix}", or of each of them, no more than that is said.
@@ -103,7 +101,6 @@ def columns(record: object, what: str) -> dict[str, Column]:
 
     Parameters
     ----------
-    record : object
     what : str
         "time:times lower upper", as `selected` reads names; of "points{samples sigma}" a column for each name.
     """

@@ -65,10 +65,7 @@ def duration(name: str, value: object, unit: str) -> float:
 def delay_span(name: str, given: object) -> tuple[float, float]:
     """Return the least and the most of a delay that is one number or a pair.
 
-    Raises
-    ------
-    ArgumentError
-        If one is negative, or the least is more than the most.
+    Raises ArgumentError if one is negative, or the least is more than the most.
     """
     if not is_list(given):
         most = checks.nonnegative(name, given)

@@ -9,7 +9,7 @@ _NAMES = {
     "inclusion.inclusion_certificate": ("InclusionCertificate",),
     "nominal_filter": ("NominalFilter",),
     "plants.inclusion": ("LinearInclusion",),
-    "plants.parameter": ("UncertainParameter",),
+    "plants.plant_files": ("UncertainParameter",),
     "plants.time_varying": ("TimeVaryingPlant",),
     "plants.uncertain_plant": ("UncertainPlant",),
 }

@@ -15,14 +15,12 @@ from scipy.linalg import block_diag
 
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import CostWeights, WeighedBounds, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, CostWeights, WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
 from sampling_design.estimators.kalman import KalmanFilter
-from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.numerics.filtering import propagate

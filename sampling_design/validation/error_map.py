@@ -165,10 +165,6 @@ def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: Scen
         Or anything with the same weights. A cost "paper" means windows closed at their start.
     bounds : Bounds
         For the radii.
-
-    Returns
-    -------
-    ErrorMap
     """
     weights, line = estimator.weights, timeline
     gaps = np.diff(line.times[line.events])

@@ -12,11 +12,11 @@ import numpy as np
 from sampling_design.checkers.strict import count, list_of, refuse, table, text
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import usable
-from sampling_design.records.journal import Journal
+from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers, numbered
 from sampling_design.validation.error_map import ErrorMap
-from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
+from sampling_design.validation.worst_disturbance import Promise
 
 BLOCK = 64  # runs that are computed together. Fixed, since the rounding of a product may depend on how many share it
 
@@ -91,13 +91,8 @@ def monte_carlo(
         A run depends on its own seed alone.
     workers : Executor, Client, int or str, optional
         See `Workers`.
-    progress : callable, optional
     journal : Journal, optional
         Where blocks are written down under `name` as they are finished; what it holds is not computed again.
-
-    Returns
-    -------
-    MonteCarloTrials
     """
     blocks = [
         RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
-from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, sigma_of_pieces
+from sampling_design.observability.windows.window_sigma import deviations_of
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask

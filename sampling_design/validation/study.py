@@ -10,21 +10,20 @@ import numpy as np
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
-from sampling_design.records.journal import Journal
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import moment, short
+from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
 from sampling_design.validation.monte_carlo import MonteCarloTrials, measured, monte_carlo, ratio
 from sampling_design.validation.pairs import worst_pair
-from sampling_design.validation.promise import Promise, promise_of
 from sampling_design.validation.report import ROUNDING, ErrorCurve, ExampleRun, Finding, ValidationReport
 from sampling_design.validation.scenario import (
     ScenarioBounds,
@@ -36,7 +35,7 @@ from sampling_design.validation.scenario import (
 )
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
-from sampling_design.validation.worst_disturbance import worst_disturbance, worst_energy
+from sampling_design.validation.worst_disturbance import Promise, promise_of, worst_disturbance, worst_energy
 
 Seeds = Sequence[np.random.SeedSequence]
 

@@ -17,7 +17,7 @@ from sampling_design.accuracy.recursion import PeriodicGains
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.sensor import Sensor
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 

@@ -22,9 +22,8 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.record_readings import read_record
 from sampling_design.estimators.constraints.as_written import problem_as_written
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.window.smoother import information_band, solve_banded
-from sampling_design.estimators.window.square_root import solve_square_root
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.estimators.window.smoother import information_band, solve_banded, solve_square_root
 from sampling_design.estimators.window.window_problem import EstimationWindow
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)

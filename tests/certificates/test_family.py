@@ -11,8 +11,7 @@ import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
 from sampling_design.certificates.families import certify_family as family
 from sampling_design.certificates.families import program
-from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms
-from sampling_design.certificates.families.path_complete import unrolled
+from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms, unrolled
 from sampling_design.checkers.outcome import Verdict
 from sampling_design.errors import ArgumentError, FileFormatError, UndecidedError
 from tests.cases import few

@@ -13,7 +13,7 @@ from sampling_design.certificates.exact.precise import PreciseWindows, precisely
 from sampling_design.certificates.exact.riccati import supremum
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.balls import ball, definite, floats, matrix, precision
 from tests.benchmarks.bench_certify_random import drawn

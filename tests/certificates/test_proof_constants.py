@@ -308,7 +308,7 @@ def test_certificate_carries_the_weights_and_passes():
 
 
 def test_constants_over_an_interval_are_proven_maxima():
-    from sampling_design.certificates.paper.flow_norm import largest_flow
+    from sampling_design.certificates.paper.observable_case import largest_flow
 
     rng = np.random.default_rng(5)
     for _ in range(10):
@@ -320,7 +320,7 @@ def test_constants_over_an_interval_are_proven_maxima():
 
 
 def test_maximum_between_grid_points_is_not_missed():
-    from sampling_design.certificates.paper.flow_norm import largest_flow
+    from sampling_design.certificates.paper.observable_case import largest_flow
 
     # |y| = |sin(40 s)| e^{-s}-like swing whose peak lies at 0.0389, off every dyadic grid point of the first levels
     A = np.array([[-1.0, 40.0], [-40.0, -1.0]])
@@ -331,7 +331,7 @@ def test_maximum_between_grid_points_is_not_missed():
 
 
 def test_exhausted_cells_leave_a_proven_bound():
-    from sampling_design.certificates.paper.flow_norm import largest_flow
+    from sampling_design.certificates.paper.observable_case import largest_flow
 
     A = np.array([[-1e6, 1e6], [0.0, -0.1]])
     upper, _, _ = largest_flow(np.ones((1, 2)), A, np.eye(2), 10.0, cells=200)

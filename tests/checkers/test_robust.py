@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sampling_design.checkers.robust import definite_robustly
+from sampling_design.checkers.inclusion import definite_robustly
 
 
 def drawn(rng, count, directions, m, scale):

@@ -34,7 +34,7 @@ from sampling_design.certificates.form import digest
 from sampling_design.checkers import claims, outcome, sampled
 from sampling_design.checkers.check import main
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 from tests.oracles import riccati as oracle

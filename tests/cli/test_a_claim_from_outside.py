@@ -15,8 +15,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.certificates import files
-from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.digest import with_digest
+from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.rigorous import decide
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill

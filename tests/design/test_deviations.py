@@ -5,7 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.design.losses import without_sample
-from sampling_design.observability.windows.deviations import SHARE, deviations_of
+from sampling_design.observability.windows.window_sigma import SHARE, deviations_of
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 

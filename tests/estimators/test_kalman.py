@@ -12,7 +12,7 @@ from sampling_design import (
     certify,
 )
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import Estimator
 from tests.benchmarks.baselines import periodic_at_equal_cost, standard_mhe
 

@@ -14,7 +14,7 @@ from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows import flows
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import GuaranteeWarning

@@ -11,8 +11,7 @@ import pytest
 
 from sampling_design.errors import ArgumentError
 from sampling_design.explorer import scene, serve
-from sampling_design.explorer.server import LARGEST, Server
-from sampling_design.explorer.socket_frames import CLOSE, TEXT, TOO_LARGE, accepted
+from sampling_design.explorer.server import CLOSE, LARGEST, TEXT, TOO_LARGE, Server, accepted
 
 
 @pytest.fixture(scope="module")

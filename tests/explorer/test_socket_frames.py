@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from sampling_design.explorer.socket_frames import (
+from sampling_design.explorer.server import (
     BROKEN,
     CLOSE,
     CONTINUED,

@@ -25,7 +25,7 @@ from sampling_design.errors import SamplingDesignError
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests import mutants
 from tests.oracles import dissipation, families, inclusions

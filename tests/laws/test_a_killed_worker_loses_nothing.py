@@ -18,8 +18,7 @@ from sampling_design.checkers.strict import a_table
 from sampling_design.cli.options import workforce
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
 from sampling_design.records import workers as workforces
-from sampling_design.records.journal import Journal, digest
-from sampling_design.records.sweeps import sweep
+from sampling_design.records.sweeps import Journal, digest, sweep
 from sampling_design.validation import monte_carlo
 from tests.cases import few
 

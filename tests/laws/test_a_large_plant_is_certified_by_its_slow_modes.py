@@ -11,7 +11,7 @@ from sampling_design.certificates import certification as room
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from tests.rescale import Units
 
 GAIN = 3.0

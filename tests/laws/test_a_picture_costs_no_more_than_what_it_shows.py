@@ -9,7 +9,7 @@ from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.cli import estimate_rows
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.envelope import EstimateEnvelope
+from sampling_design.estimators.online.curve import EstimateEnvelope
 from sampling_design.plotting import style
 from tests.cases import few
 

@@ -16,7 +16,7 @@ import sampling_design as sd
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.cases import few
 from tests.rescale import Units

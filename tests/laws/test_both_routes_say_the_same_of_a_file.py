@@ -13,10 +13,10 @@ import pytest
 import sampling_design as sd
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import verdict
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.checkers.parts import digest
-from sampling_design.checkers.work import WorkLimit
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 WORK = 2e6

@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy.readings import BelowDetection, CompositeReading
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from tests.oracles.composites import posterior
 from tests.oracles.windows import by_the_reference
 from tests.rescale import Units

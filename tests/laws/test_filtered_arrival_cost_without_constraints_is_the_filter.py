@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import KalmanFilter, Plant
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.cases import few
 from tests.oracles.estimators import discounted_kalman

@@ -18,7 +18,7 @@ from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import numbers, parts
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from tests.cases import few
 from tests.rescale import Units
 

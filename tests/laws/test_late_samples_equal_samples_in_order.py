@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import Constraints, KalmanFilter, Plant
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.cases import few
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 from tests.observability.test_timing import brute_force, drawn

@@ -12,7 +12,7 @@ import pytest
 from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import write_estimates
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.records.file_io import to_json
 from tests.cases import few, scale_weights

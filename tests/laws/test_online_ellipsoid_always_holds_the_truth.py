@@ -7,7 +7,7 @@ import pytest
 
 from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import input_integral, transition
 

@@ -8,8 +8,7 @@ import pytest
 from sampling_design import Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from tests.cases import few
 from tests.oracles.estimators import input_integral, transition

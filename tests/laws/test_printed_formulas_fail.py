@@ -6,7 +6,7 @@ import pytest
 from sampling_design import KalmanFilter, MovingHorizonEstimator, PeriodicSchedule, Plant, certify
 from sampling_design.certificates.detectability.best_rate import detectability_from_proof
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SLOW = Plant([[-0.01]], [[1.0]])

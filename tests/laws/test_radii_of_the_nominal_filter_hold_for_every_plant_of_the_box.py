@@ -11,9 +11,9 @@ from scipy.linalg import expm
 
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.uncertain.nominal_filter import NominalFilter
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 from tests.oracles.boxes import drawn_values, matrices

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import Constraints, Plant
 from sampling_design.accuracy.readings import RecordRow
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
 PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], B=[[0.0], [1.0], [0.2]])

@@ -12,14 +12,14 @@ import pytest
 
 from sampling_design import GapRange, Plant
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import pendulum
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 

@@ -13,8 +13,8 @@ from sampling_design.certificates.exact.given_weights import default_weights
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers.check import check
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.checkers.parts import digest
-from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import UndecidedError
 from sampling_design.records.budget import Budget, BudgetSpentError
 

@@ -22,7 +22,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from tests.benchmarks.baselines import standard_mhe
 from tests.cases import few

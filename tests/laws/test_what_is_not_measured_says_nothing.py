@@ -18,8 +18,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, marginal
 from tests.cases import few
 from tests.oracles.windows import by_the_reference
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 
 
 def likely_cost(prior, v, w=None, w_time=1.0, form="paper", **more):

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.detectability import check_detectability, ratios
 from sampling_design.nonlinear.experiment import paper_weights

@@ -8,7 +8,7 @@ import pytest
 from sampling_design import Plant, read_measurements
 from sampling_design.errors import ArgumentError, MissingExtraError
 from sampling_design.estimators.estimate_file import write_estimates
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver

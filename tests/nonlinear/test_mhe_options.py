@@ -9,7 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import stirred_reactor
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator

@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 import pytest
 
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.nonlinear import newton, window_search
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator

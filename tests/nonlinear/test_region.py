@@ -11,13 +11,12 @@ from sampling_design.checkers import programs
 from sampling_design.checkers.intervals import Interval
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.nonlinear import examples
-from sampling_design.nonlinear.instructions import instructions
-from sampling_design.nonlinear.jacobians import points_of, without_bound
+from sampling_design.nonlinear.jacobians import instructions, points_of, without_bound
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.thyroid import thyroid
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
-from sampling_design.uncertain.inclusion.layout import graph_for
+from sampling_design.uncertain.inclusion.members import graph_for
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 
 SIZES = {"states": 2, "disturbances": 1, "outputs": 1}

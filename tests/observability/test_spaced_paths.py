@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.observability.worst_case.spaced_paths import least_path, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_search import least_path, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_sphere import around
 from sampling_design.observability.worst_case.spaced_tables import SphereTables
 

@@ -38,7 +38,7 @@ def least_sigma(plant, schedule, window, rng, plants=20, positions=8):
 def random_box(rng, largest=3):
     """A plant in random units with one or two parameters that move A and C: generic, integrators, or stable."""
     from sampling_design import Plant
-    from sampling_design.uncertain.plants.parameter import UncertainParameter
+    from sampling_design.uncertain.plants.plant_files import UncertainParameter
     from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
     n, p, kind = int(rng.integers(1, largest + 1)), int(rng.integers(1, 3)), int(rng.integers(3))

@@ -4,7 +4,6 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.plotting.plan_comparison import curve
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def test_the_picture_shows_both(pair):
         points = [line.get_xdata().size for line in axes[k].lines if line.get_marker() == "o"]
         assert sum(points) == int(pair[k].chosen.sum())
     tops = [max(patch.get_data().values) for patch in axes[2].patches]
-    assert {round(float(top), 9) for top in tops} == {round(float(curve(p, 0)[1].max()), 9) for p in pair}
+    assert {round(float(top), 9) for top in tops} == {round(float(p.curve(0)[1].max()), 9) for p in pair}
     assert pair[0].compare(pair[1]).plot(axes[2]) is axes[2]
 
 

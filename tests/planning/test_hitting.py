@@ -10,10 +10,9 @@ from sampling_design import PlanRequirement, Plant, plan_samples
 from sampling_design.planning import hitting_set
 from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import CostProver
-from sampling_design.planning.cost_proof import CostTree, proven_cost
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import discretize
-from sampling_design.planning.evidence import PlanBound, bound_holds
+from sampling_design.planning.evidence import CostTree, PlanBound, bound_holds, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
 from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.planning.problem import pose_plan

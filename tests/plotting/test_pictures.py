@@ -17,12 +17,12 @@ from sampling_design import plotting
 from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.certificates.compare.robustness import FamilyTrial
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.estimators.online.envelope import EstimateEnvelope
+from sampling_design.estimators.online.curve import EstimateEnvelope
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.plotting import style
-from sampling_design.plotting.explorations import draw_pareto
+from sampling_design.plotting.designs import draw_pareto
 from sampling_design.plotting.plans import draw_sensors, mark_days, whole
 from sampling_design.schedules.lost_samples import LostSamples
 from tests.cases import few

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.records import budget
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 

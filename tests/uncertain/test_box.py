@@ -26,8 +26,8 @@ from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.existence.existence_over_box import existence_over_box
 from sampling_design.uncertain.existence.largest_box import largest_box
 from sampling_design.uncertain.observability import zero_count_over_box
-from sampling_design.uncertain.observability.worst_case_cells import least_over, points_of
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.observability.worst_case_balls import least_over, points_of
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.oracles.boxes import random_box
 from tests.oracles.observability import exponential_50_digits

@@ -12,7 +12,8 @@ from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates.exact import certificate as record
 from sampling_design.certificates.exact import proof
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers import check, claims, inclusion, jumps
+from sampling_design.checkers import check, claims, inclusion
+from sampling_design.checkers import members as checked_members
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
@@ -25,7 +26,7 @@ from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclus
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.program import InclusionProgram
 from sampling_design.uncertain.inclusion.search import InclusionSearch
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests import kept_certificates
 from tests.cases import few
@@ -623,7 +624,7 @@ def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
     whole = resealed(made, P=P, P1=[[0.01, 0.0], [0.0, 0.01]], P2=[[2.0, 0.0], [0.0, 2.0]], **weights)
     assert check(whole)["verdict"] == verify_rigorously(whole).verdict == "proven"
     tight = claims.certificate(whole)
-    monkeypatch.setattr(jumps, "MOST_SETS", 0)
+    monkeypatch.setattr(checked_members, "MOST_SETS", 0)
     with pytest.raises(Undecided, match="could not be decided: it is tight or nearly so"):
         inclusion.prove(tight)
     monkeypatch.setattr(inclusion_balls, "MOST_SETS", 0)

@@ -16,7 +16,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.numerics.balls import rational
 from sampling_design.uncertain.inclusion import region_balls
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 

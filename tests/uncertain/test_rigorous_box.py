@@ -14,14 +14,12 @@ from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.plants.plant import Signals
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.box.balls import BallBox, largest_over
-from sampling_design.uncertain.box.expansion import BoxCells, bases, norms_in
+from sampling_design.uncertain.box.expansion import BALLS, BoxCells, CellNorms, bases, norms_in
 from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.box.norms import BALLS, CellNorms
 from sampling_design.uncertain.observability import window_balls
 from sampling_design.uncertain.observability import worst_case_balls as worst_over_box
-from sampling_design.uncertain.observability.window_balls import WindowCells, prove_over_box
-from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.observability.window_balls import WindowCells, WindowsOverBox, prove_over_box
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 from tests.observability.test_rigorous_sigma import sigma_at

@@ -9,8 +9,7 @@ from sampling_design import Plant
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.uncertain.nominal_filter import NominalFilter
-from sampling_design.uncertain.plants.parameter import UncertainParameter
-from sampling_design.uncertain.plants.plant_files import ends
+from sampling_design.uncertain.plants.plant_files import UncertainParameter, ends
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")

@@ -5,7 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.uncertain.plants import time_table
+from sampling_design.uncertain.plants import time_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 from tests.cases import few
 
@@ -32,7 +32,7 @@ def flow(a, b):
 
 @pytest.mark.parametrize("terms", [22, 6, 4])
 def test_the_error_of_a_table_is_proven_however_few_its_terms(monkeypatch, terms):
-    monkeypatch.setattr(time_table, "TERMS", terms)
+    monkeypatch.setattr(time_varying, "TERMS", terms)
     motion = SWING.transitions([0.0, 0.7, 3.0, 9.9])
     off = [np.linalg.norm(F - flow(a, b), 2) for F, a, b in zip(motion.F, [0, 0.7, 3.0], [0.7, 3.0, 9.9], strict=True)]
     assert motion.proven

@@ -16,7 +16,7 @@ import sampling_design as sd
 from sampling_design import Plant
 from sampling_design.checkers import cover, family_file, strict
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.estimation import estimate
+from sampling_design.estimators.estimator_choice import estimate
 from sampling_design.records import dispatch
 from sampling_design.schedules.family import OUTWARD, FamilyStep, SamplingFamily
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline

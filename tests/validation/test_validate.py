@@ -7,7 +7,7 @@ import pytest
 
 from sampling_design import ArgumentError, GapRange, PeriodicSchedule, Plant, Schedule, certify, validate
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.records.file_io import to_json
 from sampling_design.validation import monte_carlo
 from sampling_design.validation.report import Finding, ValidationReport

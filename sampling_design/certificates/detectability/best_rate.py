@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_lyapunov
 
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate, proven
-from sampling_design.certificates.form.constants import Constant, ConstantList
+from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError, SolverError
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.filtering import stationary_covariance

@@ -8,8 +8,8 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, with_digest
+from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant

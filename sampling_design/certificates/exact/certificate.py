@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
-from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, with_digest
 from sampling_design.certificates.form.horizon import (
     CONTRACTION,
+    Constant,
+    ConstantList,
     Horizon,
     largest_eigenvalue,
     least_eigenvalue,

@@ -24,10 +24,10 @@ from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import long_run, one_period
 from sampling_design.certificates.rigorous.decide import decided_on_schedule
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import times_of
-from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.balls import Ball, Matrix, ball, cholesky, definite, floats, identity, matrix, precision
 from sampling_design.numerics.linalg import symmetrise

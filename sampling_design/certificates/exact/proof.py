@@ -20,7 +20,7 @@ from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import replays, verdict_on_schedule
 from sampling_design.certificates.rigorous.decide import decided_on_schedule, replays_in_balls
 from sampling_design.checkers.claims import certificate
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks

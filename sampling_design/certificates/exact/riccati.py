@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.window_problem import WindowProblem
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import SolverError
 from sampling_design.numerics.filtering import CovarianceMap, measurement_update, propagate
 from sampling_design.numerics.linalg import eigenvalue_bound, symmetrise

@@ -17,7 +17,7 @@ from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, R
 from sampling_design.certificates.exact.window_gains import WindowConditions, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant

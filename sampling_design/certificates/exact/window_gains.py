@@ -13,7 +13,7 @@ import numpy as np
 
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import WindowProblem
-from sampling_design.checkers.work import WorkLimit
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.numerics.linalg import eigenvalue_bound
 from sampling_design.records.arrays import Array, Index, Mask

@@ -16,8 +16,7 @@ from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.counterexample import NearestFailure, refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.families.graphs import graph_of, in_plant_terms
-from sampling_design.certificates.families.path_complete import PathCompleteGraph, unrolled
+from sampling_design.certificates.families.graphs import PathCompleteGraph, graph_of, in_plant_terms, unrolled
 from sampling_design.certificates.families.program import FamilyProgram
 from sampling_design.certificates.families.step_proof import (
     StepDynamics,

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
-from sampling_design.certificates.families.graphs import family_in_words, in_plant_terms
-from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.families.graphs import PathCompleteGraph, family_in_words, in_plant_terms
 from sampling_design.certificates.form.digest import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks

@@ -1,17 +1,101 @@
-"""The graph of a family: every schedule of it, from every window start, is a path in it."""
+"""Graphs of schedules: what a path-complete graph is, and that of each family.
+
+Graphs of gap words: every schedule of a family, from every window start, is a path in one.
+
+Node 0 is the window's start. Along an edge u -> v some time h in [low, high] passes and a sample with the outputs of
+the edge is taken (none of them: the sample is lost). With one information matrix P_v per node, P_0 = P2, the
+family certificate is this list of inequalities, F_h = e^{(A + eta/2) h}, Phi_h(P) = (F_h P^-1 F_h' + W_h)^-1:
+
+1. edges u -> v, all h in [low, high]:   Phi_h(P_u) + C_e' R~_e C_e >= P_v,    R~_e = (V restricted to e)^-1,
+   V = R^-1 + Qv^-1
+2. nodes u, all s in [0, top_u]:         Phi_s(P_u) >= (1 + margin) P1  and  Phi_s(P_u) >= (1 - 1e-3) P2/lam,
+   top_u the largest `high` of the edges that leave u.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import START, SamplingFamily, Steps, Word, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
+
+
+@dataclass(frozen=True)
+class Edge:
+    """From node `source` to node `target` in a time within [low, high]; `outputs` are measured at its end."""
+
+    source: int
+    target: int
+    low: float
+    high: float
+    outputs: tuple[bool, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PathCompleteGraph:
+    """Nodes named by what they remember of the schedule since the window's start, and edges between them.
+
+    `words[0]` is the start itself. What the other words mean depends on the family: lower ends of the last gaps
+    ("gap-range", "spaced-windows"; newest first), the phase and the losses ("lost-samples"; newest first), the phase
+    and the ends of the deviation ("jitter"), and the outputs that are yet to be read ("output-jitter").
+
+    Notes
+    -----
+    The graph is path-complete: every schedule of the family is a path in it, so that one inequality per edge is enough.
+
+    References
+    ----------
+    Ahmadi, Jungers, Parrilo and Roozbehani 2014.
+    """
+
+    words: tuple[Word, ...]
+    edges: tuple[Edge, ...]
+
+    @property
+    def count(self) -> int:
+        """Nodes, the start included."""
+        return len(self.words)
+
+    @property
+    def tops(self) -> Array:
+        """Longest time that may pass at each node before the next edge ends."""
+        tops = np.zeros(self.count)
+        for edge in self.edges:
+            tops[edge.source] = max(tops[edge.source], edge.high)
+        return tops
+
+    def to_dict(self, P: Array) -> dict[str, object]:
+        """What a file holds: the information matrix of each node but the start (that one is P2), too."""
+        return {
+            "words": [list(word) for word in self.words],
+            "edges": [[e.source, e.target, e.low, e.high, [int(on) for on in e.outputs]] for e in self.edges],
+            "P": list(P[1:]),
+        }
+
+
+def unrolled(graph: PathCompleteGraph, layers: int) -> PathCompleteGraph:
+    """Return the graph that also remembers how many samples ago the window started, up to `layers`.
+
+    Without this one matrix per word has to lie below the whole transient that starts at P2.
+    """
+    inner = graph.count - 1
+    words = (graph.words[0], *(graph.words[1:] * layers))
+    edges = [edge for edge in graph.edges if edge.source == 0]
+    for layer in range(layers):
+        here, there = layer * inner, min(layer + 1, layers - 1) * inner
+        edges += [
+            Edge(edge.source + here, edge.target + there, edge.low, edge.high, edge.outputs)
+            for edge in graph.edges
+            if edge.source
+        ]
+    return PathCompleteGraph(words, tuple(edges))
+
 
 MOST_NODES = 400  # a graph with more nodes than this is not built: its matrix inequalities would take minutes
 

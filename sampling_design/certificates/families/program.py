@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.families.graphs import PathCompleteGraph
 from sampling_design.certificates.families.step_proof import StepDynamics
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import psd_root

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.window_problem import covariance_flow, growing_flow, whitened_rows
-from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.families.graphs import PathCompleteGraph
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index

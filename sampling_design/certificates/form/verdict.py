@@ -10,10 +10,9 @@ import numpy as np
 
 from sampling_design.checkers import verdict
 from sampling_design.checkers.check import verdict_on
-from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused, Verdict
+from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused, Verdict, WorkLimit
 from sampling_design.checkers.sampled import proven, replay
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.checkers.work import WorkLimit
 from sampling_design.records.record import PlainRecord, YesOrNo
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from sampling_design.certificates.form.constants import Constant, ConstantList
+from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.paper.observable_case import SAFE, ProvenWeights, _in_range
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.modes import ModalSplit

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design.certificates.detectability.best_rate import detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.form.constants import Constant, ConstantList
+from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.paper.composition import RATE_SHARE, compose, residual_alone, residual_decay
 from sampling_design.certificates.paper.gain_sweep import best_gain
 from sampling_design.certificates.paper.observable_case import (
@@ -26,7 +26,7 @@ from sampling_design.certificates.paper.sampling_hypotheses import measure_hypot
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
-from sampling_design.observability.windows.deviations import deviations_of
+from sampling_design.observability.windows.window_sigma import deviations_of
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks

@@ -11,8 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.digest import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
+from sampling_design.certificates.form.horizon import ConstantList
 from sampling_design.certificates.form.verdict import Verification, verdict_of, verdict_on_content, verification
 from sampling_design.certificates.rigorous.ball_problem import (
     BallTimes,
@@ -34,13 +34,13 @@ from sampling_design.checkers.outcome import (
     Refused,
     Undecided,
     Verdict,
+    WorkLimit,
     holds,
     refused,
 )
 from sampling_design.checkers.parts import FORMAT, Weights
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import BadFile
-from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balls import (
     BITS,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sampling_design.errors import MissingExtraError
+from sampling_design.estimators.constraints.constraints import WindowConstraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.records.arrays import Array

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sampling_design.estimators.constraints.constraints import WindowConstraints
 from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic, find_obstacle
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
-from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.window.window_estimate import WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.records.arrays import Mask

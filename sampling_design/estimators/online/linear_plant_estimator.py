@@ -8,16 +8,15 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.dated_start import nothing_said, resolved
 from sampling_design.accuracy.readings import CensoredReading, RecordRow
 from sampling_design.accuracy.record_readings import censored_together
-from sampling_design.accuracy.uncertain_times import nothing_said, resolved
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, StateBox
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import Recorder, SampleReader
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.records import checks
@@ -57,10 +56,7 @@ class LinearPlantEstimator(OnlineEstimator):
     def prepare(self, recorder: Recorder, input_side: str) -> None:
         """Put the parts together.
 
-        Raises
-        ------
-        ArgumentError
-            If the plant has no states, or `input_side` is neither "right" nor "left".
+        Raises ArgumentError if the plant has no states, or `input_side` is neither "right" nor "left".
         """
         self.recorder, self.loop, self.claim, self.bounds = recorder, recorder.loop, recorder.claim, recorder.bounds
         self.weights, self.table, self.plant = self.loop.weights, self.loop.table, self.loop.weights.plant
@@ -73,10 +69,7 @@ class LinearPlantEstimator(OnlineEstimator):
     def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
         """Forget all samples, and what they contradicted, and start again from a prior.
 
-        Raises
-        ------
-        ArgumentError
-            As `initial_state`.
+        Raises ArgumentError as `initial_state`.
         """
         self.state = self.initial_state(prior, prior_time)
 

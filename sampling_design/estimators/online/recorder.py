@@ -13,9 +13,8 @@ from sampling_design.estimators.online.estimate import Contradiction, Estimate, 
 from sampling_design.estimators.online.evidence import EstimateAssumptions, EstimateEvidence
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, SampleBranch
 from sampling_design.estimators.online.open_loop import OpenLoop
-from sampling_design.estimators.online.rounding import CovariancePrecision, in_units_of, moved, passed
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
-from sampling_design.estimators.online.verdict import SolveVerdict
+from sampling_design.estimators.online.verdict import CovariancePrecision, SolveVerdict, in_units_of, moved, passed
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze

@@ -20,8 +20,7 @@ from scipy.linalg import lapack
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
 from sampling_design.estimators.online.history import HistoryNode
-from sampling_design.estimators.online.rounding import CovariancePrecision
-from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL
+from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, CovariancePrecision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
 from sampling_design.numerics.filtering import covariance_root, root_update
@@ -320,8 +319,6 @@ class SlidingBand:
 
         Parameters
         ----------
-        first : int
-        initial : InitialNode
         gap : (GapFlow, (n,) array)
             From the window's start to the first node, with the inputs' part.
         whole : bool

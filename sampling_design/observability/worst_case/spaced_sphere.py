@@ -23,9 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.observability.worst_case.spaced_paths import so_far, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.observability.worst_case.spaced_search import AttainedSchedule, search_from
+from sampling_design.observability.worst_case.spaced_search import (
+    AttainedSchedule,
+    search_from,
+    so_far,
+    sums_so_far,
+    sums_to_go,
+)
 from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, SphereTables, StartTable
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget

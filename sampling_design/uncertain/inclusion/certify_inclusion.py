@@ -11,8 +11,7 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.given_weights import above_one, certifiable_schedule, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.families.certify_family import best_rates
-from sampling_design.certificates.families.graphs import in_plant_terms
-from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.families.graphs import PathCompleteGraph, in_plant_terms
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.plant import Plant
@@ -25,7 +24,7 @@ from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.uncertain.inclusion.layout import Schedules, graph_for, layout_of
+from sampling_design.uncertain.inclusion.members import Schedules, graph_for, layout_of
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
 

@@ -18,7 +18,7 @@ from sampling_design.certificates.rigorous.dissipation_balls import decided
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Inclusion, moved
-from sampling_design.checkers.jumps import JUMP
+from sampling_design.checkers.members import JUMP
 from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
 from sampling_design.records.arrays import Array, Mask
@@ -151,7 +151,7 @@ def multipliers_fail(c: Inclusion, error: Refused) -> Refused:
 
 
 def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
-    """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
+    """The jump condition for every member: tangents from below, as in `checkers/members.py`."""
     slack = 1.0
     for pattern in sorted(set(map(tuple, c.jumps.measured.tolist()))):
         measured = np.array(pattern, bool)

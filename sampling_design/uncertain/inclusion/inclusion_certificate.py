@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
-from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.families.graphs import PathCompleteGraph
 from sampling_design.certificates.files import graph_from, times_from_dict, values_of
 from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.checkers.inclusion_file import Inclusion
@@ -23,7 +23,7 @@ from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
-from sampling_design.uncertain.inclusion.layout import Schedules, graph_for
+from sampling_design.uncertain.inclusion.members import Schedules, graph_for
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
 from sampling_design.uncertain.plants.plant_files import parts_of_model
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.certificates.form.constants import Constant, ConstantList
+from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.paper.observable_case import LARGEST, SAFE, ProvenWeights
 from sampling_design.certificates.paper.proof_constants import PaperConstants, theorem_9
 from sampling_design.errors import ArgumentError, UndecidedError
@@ -92,13 +92,9 @@ def constants_over_inclusion(
 ) -> InclusionConstants:
     """Return Theorem 5's constants for every plant of a model: see `constants_from_proof`.
 
-    Raises
-    ------
-    ArgumentError
-        If the schedule is no GapRange, an argument is given that belongs to a plant that is exactly known, or no sets
-        that hold the whole model are known.
-    UndecidedError
-        If no certificate of a rate beyond twice the growth backwards in time is proven, or constants leave doubles.
+    Raises ArgumentError if the schedule is no GapRange, an argument is given that belongs to a plant that is exactly
+    known, or no sets that hold the whole model are known; UndecidedError if no certificate of a rate beyond twice the
+    growth backwards in time is proven, or constants leave doubles.
     """
     checks.word("variant", variant, ("paper",))
     family = in_terms(plant, schedule, **others)

@@ -28,8 +28,7 @@ from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.timing import rows_without
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
-from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
-from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant, TransitionTable
+from sampling_design.uncertain.plants.time_varying import MatrixTable, TimeVaryingPlant, TransitionTable, length_of
 
 FIRST = 5  # positions of a piece at first, its ends included
 TURNS = 6  # in which real times of functions are sought

@@ -11,9 +11,9 @@ import numpy as np
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
-from sampling_design.observability.windows.deviations import left_of_sigma
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import checked_pieces
+from sampling_design.observability.windows.window_sigma import left_of_sigma
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
@@ -22,7 +22,7 @@ from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS, BoxBounds, branch
 from sampling_design.uncertain.box.model import BoxModel, at_parameters
-from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
+from sampling_design.uncertain.observability.window_balls import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 RTOL = 0.01  # default width of the bracket, relative

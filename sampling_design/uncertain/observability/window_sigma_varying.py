@@ -10,16 +10,15 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
-from sampling_design.observability.windows.deviations import left_of_sigma, lost_one_by_one
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import WindowSigma, checked_pieces, record_of
+from sampling_design.observability.windows.window_sigma import left_of_sigma, lost_one_by_one
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.observability.bracket_varying import bracket_varying
-from sampling_design.uncertain.plants.time_table import MatrixTable
-from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+from sampling_design.uncertain.plants.time_varying import MatrixTable, TimeVaryingPlant
 
 RTOL = 0.01  # default width of the bracket, relative
 ROUGH = 1.0  # of what is beside it where nothing is proven: no interval is halved

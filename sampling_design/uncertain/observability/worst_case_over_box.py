@@ -31,7 +31,7 @@ from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS
 from sampling_design.uncertain.box.expansion import UP, BoxCells
 from sampling_design.uncertain.box.model import BoxModel, at_parameters
-from sampling_design.uncertain.observability.worst_case_cells import (
+from sampling_design.uncertain.observability.worst_case_balls import (
     FINER,
     WIDE,
     SigmaOfOne,

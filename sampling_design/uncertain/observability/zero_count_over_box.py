@@ -17,7 +17,7 @@ from sampling_design.records.record import short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
 from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, signs
 from sampling_design.uncertain.box.model import BoxModel, at_parameters
-from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
+from sampling_design.uncertain.observability.window_balls import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 SLOWEST = 1e-3  # frequencies below this share of |A| are not told from none: the count is taken with this much more

@@ -21,8 +21,7 @@ from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import read_tree, usable, write_tree
 from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.uncertain.plants.inclusion import BoxColumns, InclusionMembers, LinearInclusion
-from sampling_design.uncertain.plants.parameter import UncertainParameter
-from sampling_design.uncertain.plants.plant_files import entry_parameters, parts_of_tree, tree_of
+from sampling_design.uncertain.plants.plant_files import UncertainParameter, entry_parameters, parts_of_tree, tree_of
 
 _MOVED = ("A", "C", "G")
 MOST_CORNERS = 10

@@ -23,7 +23,7 @@ from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.uncertain.nominal_filter import NominalFilter
-from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.nonlinear.likely import likely_cost
 

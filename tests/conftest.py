@@ -3,7 +3,7 @@
 import gc
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,11 @@ gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stay
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--long`: what is marked so, and nothing else; `--long-cases N`: at most so many of each test."""
+    """`--long`: what is marked so, and nothing else; `--long-cases N`: at most so many of each that has no other."""
     parser.addoption("--long", action="store_true", help="run the tests that take long, and no others")
-    parser.addoption("--long-cases", type=int, metavar="N", help="with --long: at most N cases of each test function")
+    parser.addoption(
+        "--long-cases", type=int, metavar="N", help="with --long: at most N cases of each test without a short one"
+    )
 
 
 class Examples:
@@ -91,22 +93,28 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave long tests out of a run of everything or of a folder; whoever names a file or a test gets it."""
     long, asked = config.getoption("--long"), named(config)
+    short = {kind_of(item) for item in items if item.get_closest_marker("long") is None}
     items[:] = [
         item
         for item in items
         if (item.get_closest_marker("long") is not None) == long or (not long and str(item.path) in asked)
     ]
     if long and (most := config.getoption("--long-cases")) is not None:
-        items[:] = spread(items, lambda item: (item.path, item.nodeid.split("[")[0]), most)
+        items[:] = spread(items, kind_of, most, short)
 
 
-def spread(items: list[Any], kind: Callable[[Any], object], most: int) -> list[Any]:
-    """At most so many items of each kind, in their order, as far apart as can be: the middle ones of equal shares."""
+def kind_of(item: pytest.Item) -> tuple[Path, str]:
+    """The test function of which an item is a case."""
+    return item.path, item.nodeid.split("[")[0]
+
+
+def spread(items: list[Any], kind: Callable[[Any], object], most: int, but: Collection[Any] = ()) -> list[Any]:
+    """At most so many items of each kind but some, in their order, far apart: the middle ones of equal shares."""
     kinds: dict[object, list[int]] = {}
     for place, item in enumerate(items):
         kinds.setdefault(kind(item), []).append(place)
     kept = set()
-    for places in kinds.values():
+    for places in (places for each, places in kinds.items() if each not in but):
         count = min(most, len(places))
         kept |= {places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)}
     return [item for place, item in enumerate(items) if place in kept]

@@ -68,6 +68,7 @@ def test_the_share_of_what_takes_long_is_spread_over_the_cases_of_each_test():
     assert spread(cases, lambda case: case[0], 1) == [("a", 5), ("b", 0), ("c", 1)]
     assert spread(cases, lambda case: case[0], 3) == [("a", 1), ("a", 5), ("a", 8), ("b", 0), ("c", 0), ("c", 1)]
     assert spread(cases, lambda case: case[0], 10) == cases
+    assert spread(cases, lambda case: case[0], 1, {"a"}) == [("b", 0), ("c", 1)]  # those that have a short one
 
 
 @pytest.mark.long

@@ -22,7 +22,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, TableRecord, short
+from sampling_design.records.record import Plain, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
 
@@ -93,14 +93,16 @@ class SampleLosses(TableRecord):
         rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", short(self.sigma))]
         rows += [] if self.deviations is None else self.deviations._rows()[:1]
         columns = zip(self.times, self.lower, self.bound, strict=True)
-        return rows + [(f"without t = {short(t)}", f"{short(v)}, none exceeds {short(b)}") for t, v, b in columns]
+        return rows + [
+            (f"without t = {moment(t, self.times)}", f"{short(v)}, none exceeds {short(b)}") for t, v, b in columns
+        ]
 
     def explain(self) -> str:
         """Say which sample matters most."""
         i = self.dearest
         how = "left out of every period" if self.every_period else "missed once"
         return (
-            f"If the sample at {short(self.times[i])} is {how}, sigma falls from {short(self.sigma)} "
+            f"If the sample at {moment(self.times[i], self.times)} is {how}, sigma falls from {short(self.sigma)} "
             f"to {short(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
             f"{short(self.bound[i])}."
             + ("" if self.deviations is None or self.deviations.asked else f" {self.deviations.explain()}")

@@ -25,7 +25,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import ANSWERS, Plain, PlainRecord, counted, short
+from sampling_design.records.record import ANSWERS, Plain, PlainRecord, counted, moment, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -244,7 +244,7 @@ class ScheduleDesign(PlainRecord):
             ("over every window", f"of {short(self.requirement.window)} {unit} (half-open, at every real position)"),
             ("period", f"{short(self.requirement.period)} {unit}"),
             ("spacing", f"{short(self.schedule.gaps.min())} (asked {short(self.requirement.spacing)}) {unit}"),
-            ("times", short(self.schedule.times)),
+            ("times", moment(self.schedule.times, self.problem.breakpoints)),
             ("retained", f"{self.split.retained.n_states} of {self.plant.n_states} states"),
             ("status", self.status),
         ]

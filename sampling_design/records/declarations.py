@@ -22,6 +22,8 @@ Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] |
 Column: TypeAlias = "Sequence[object] | npt.NDArray[np.generic]"  # one column of a table
 
 LARGE = 1e5  # of a time, in whatever unit: beyond it six digits leave less than a whole unit and a digit
+ONE = 8 * np.finfo(float).eps  # of their size: times so near are one, up to the rounding of sums of gaps
+SHOWN = 8  # entries of an array that a line of a table holds
 
 Converting = TypeVar("Converting")
 Held = TypeVar("Held")
@@ -149,17 +151,26 @@ def short(value: object, digits: int = 6) -> str:
     if numbers.ndim == 0:
         return f"{float(numbers):.{digits}g}"
     flat = numbers.ravel()
-    listed = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
-    return f"[{listed}{', ...' if flat.size > 8 else ''}]"
+    listed = ", ".join(f"{v:.{digits}g}" for v in flat[:SHOWN])
+    return f"[{listed}{', ...' if flat.size > SHOWN else ''}]"
 
 
-def moment(value: object) -> str:
+def moment(value: object, beside: npt.ArrayLike = ()) -> str:
     """A time, or a short list of times, as text: six digits, of large ones a thousandth of their unit as well.
 
-    Where clocks count seconds from 1970 on, six digits are twenty minutes.
+    As many more as tell it from its neighbours in the list and in `beside`, such as the times at which a place closes,
+    where these differ by more than rounding. Where clocks count seconds from 1970 on, six digits are twenty minutes.
     """
-    size = float(np.max(np.abs(np.asarray(value, dtype=float)), initial=0.0))
-    return short(value, min(int(np.log10(size)) + 4, 16) if LARGE <= size < np.inf else 6)
+    times = np.asarray(value, dtype=float).ravel()
+    size = float(np.max(np.abs(times), initial=0.0))
+    least = min(int(np.log10(size)) + 4, 16) if LARGE <= size < np.inf else 6
+    every = np.sort(np.concatenate([times, np.ravel(np.asarray(beside, dtype=float))]))
+    every = every[np.isfinite(every)]
+    every = every[np.append(True, np.diff(every) > ONE * np.abs(every[1:]))[: every.size]]
+    at = np.searchsorted(every, times[: SHOWN + 1])[:, None] + np.array([-1, 0, 1])
+    near = every[np.unique(np.clip(at, 0, every.size - 1))] if every.size else every
+    told = (digits for digits in range(least, 17) if len({f"{t:.{digits}g}" for t in near}) == near.size)
+    return short(value, next(told, 17))
 
 
 _LETTERS = "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΦΨΩµ"

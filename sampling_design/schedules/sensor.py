@@ -32,7 +32,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import by_first, by_kind, csv_rows, read_text
-from sampling_design.records.record import Plain, PlainRecord, short
+from sampling_design.records.record import Plain, PlainRecord, moment, short
 from sampling_design.records.units import SECONDS, time_factor
 from sampling_design.schedules.opening import OpeningCalendar, week_hours
 from sampling_design.schedules.time_stamps import parse_date
@@ -249,7 +249,7 @@ def spans_in_words(value: Array | Dates | None, empty: str) -> str:
         return empty
     if isinstance(value, tuple):
         return ", ".join(f"[{a}, {b})" for a, b in value)
-    return ", ".join(f"[{short(a)}, {short(b)})" for a, b in value)
+    return ", ".join(f"[{moment(a, value)}, {moment(b, value)})" for a, b in value)
 
 
 def intervals(name: str, value: object) -> Array:

@@ -1,5 +1,6 @@
 """A record and its shift, means and limits and inputs with it, get the same answer of every verb."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -208,3 +209,30 @@ def test_times_that_count_from_1970_are_told_apart():
     assert moment(123.456789) == "123.457"
     assert moment(1e5) == "100000"
     assert moment([1e17, np.inf]) == "[1e+17, inf]"
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 20.0, 1.7e9, 1e12])
+def test_times_that_differ_by_more_than_rounding_are_written_differently_and_in_order(size):
+    times = size * (1 + np.array([0.0, 3e-10, 1e-7, 2e-7, 1e-3, 0.1]))
+    written = np.array([float(each) for each in moment(times).strip("[]").split(", ")])
+    assert np.all(np.diff(written) > 0)
+    assert np.all(np.diff([float(moment(t, times)) for t in times]) > 0)
+
+
+def test_a_time_before_closing_is_not_written_as_the_time_of_closing():
+    assert moment([14 - 1e-7, 20.0], [14.0]) == "[13.9999999, 20]"
+    assert moment(14 - 1e-7) == "14"
+    assert moment([1.1 + 2.2, 5.0], [3.3]) == "[3.3, 5]"  # rounding alone
+
+
+def test_a_design_writes_its_times_within_the_hours_in_which_its_place_is_open():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    requirement = sd.Requirement(
+        window=5.0, period=5.0, samples=2, spacing=0.1, forbidden=[(0.0, 2.0), (3.1, 5.0)], fixed=[2.0, 3.1 - 1e-8]
+    )
+    assert "always at [2, 3.09999999]" in requirement.explain()
+    design = sd.design_schedule(plant, requirement, starts=1, branches=0)
+    assert "times [2, 3.09999999]" in " ".join(str(design).split())
+    near = replace(sd.design.sample_losses(design), times=np.array([2.0, 2.00000001]))
+    assert "without t = 2 " in str(near)
+    assert "without t = 2.00000001 " in str(near)

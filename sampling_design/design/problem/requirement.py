@@ -15,7 +15,7 @@ from sampling_design.plants.rows import Wanted, row_arguments, rows_in_words
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, WrittenRecord, short
+from sampling_design.records.record import Plain, WrittenRecord, moment, short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.opening import OpeningCalendar
@@ -162,7 +162,7 @@ class Requirement(WrittenRecord):
         if self.target_sigma is not None:
             rows.append(("target sigma", short(self.target_sigma)))
         rows += [("decay rate", short(self.decay_rate)), ("forbidden", spans_in_words(self.forbidden, "none"))]
-        rows.append(("fixed", short(self.fixed) if self.fixed.size else "none"))
+        rows.append(("fixed", moment(self.fixed, self.forbidden) if self.fixed.size else "none"))
         rows += [(f"sensor {k}", v.explain()) for k, v in self.sensors.items()]
         if late := TimingTolerance.of(self.timing_tolerance):
             rows.append(("samples come", late.describe()))
@@ -184,7 +184,7 @@ class Requirement(WrittenRecord):
         if self.forbidden.size:
             parts.append(f"none in {spans_in_words(self.forbidden, '')}")
         if self.fixed.size:
-            parts.append(f"always at {short(self.fixed)}")
+            parts.append(f"always at {moment(self.fixed, self.forbidden)}")
         if late := TimingTolerance.of(self.timing_tolerance):
             parts.append(f"each {late.describe()}")
         if self.cost_limit is not None:

@@ -15,7 +15,7 @@ from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -87,7 +87,9 @@ class LossTolerance(PlainRecord):
         )
         if self.hidden_times.size:
             spent = "1 period" if self.periods == 1 else f"{self.periods} periods"
-            listed = ", ".join(short(t) for t in self.hidden_times[:6]) + ", ..." * (self.hidden_times.size > 6)
+            listed = ", ".join(moment(t, self.hidden_times) for t in self.hidden_times[:6]) + ", ..." * (
+                self.hidden_times.size > 6
+            )
             words += (
                 f" Of {round(self.density * self.periods * self.period)} samples in {spent} those at {listed} may all "
                 f"miss one direction; no schedule as dense tolerates {short(self.limit)}."

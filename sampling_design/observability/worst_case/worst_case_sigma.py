@@ -40,7 +40,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, counted, short
+from sampling_design.records.record import Plain, counted, moment, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
@@ -183,7 +183,7 @@ class WorstCaseSigma(SigmaBracket):
         )
         if self.status == "too few samples":
             return f"Sigma is 0: fewer measurements than the {counted(self.direction.size, 'state')} ({many})."
-        where = f"The worst times are {short(self.witness)} {unit}"
+        where = f"The worst times are {moment(self.witness)} {unit}"
         if self.status == "below rounding":
             measured = f"of the state {short(self.direction)} they measure {short(self.upper)}"
             return f"{where}; {measured}, which rounding does not tell from zero."

@@ -32,6 +32,24 @@ def test_bounding_boxes_hold_the_set_and_touch_it():
     assert np.allclose([low, high], [edge.min(axis=0), edge.max(axis=0)], atol=1e-5)
 
 
+@pytest.mark.parametrize("row", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("unit", [(1e-12, 1e-12), (1e-12, 1e12), (1.0, 1e-6), (1e12, 1.0)])
+def test_bounding_boxes_are_the_same_in_any_units(row, unit):
+    """The solver's tolerances are absolute, and 1e-7 of what is measured in nanometres is no tolerance."""
+    low, high = ConvexSet.halfspaces(row * TRIANGLE.rows / unit, row * TRIANGLE.offsets).bounding_box()
+    assert np.allclose([low / unit, high / unit], [[0, 0], [2, 1]], atol=1e-6)
+    assert np.all(low < 0)  # outward, by what a solver leaves open
+    assert np.all(high / unit > [2, 1])
+    beside = ConvexSet([-np.inf, 0.0], [np.inf, unit[1]], row * np.array([[1.0, -1.0]]) / unit, [0.0])
+    assert beside.bounding_box()[1] == pytest.approx(unit, rel=1e-6)  # x/unit <= y/unit <= 1
+
+
+def test_half_spaces_never_widen_a_box():
+    box = ConvexSet.box([-1e-9, 0.0], [1e-9, 5.0])
+    low, high = (box & ConvexSet.halfspaces([[1.0, 1.0]], [100.0])).bounding_box()
+    assert np.array_equal([low, high], [box.lower, box.upper])
+
+
 def test_magnitudes():
     assert ConvexSet.ball(0.5, dimension=3).magnitude() == 0.5
     assert ConvexSet.box([-2.0, 0.0], [1.0, 3.0]).magnitude().tolist() == [2.0, 3.0]

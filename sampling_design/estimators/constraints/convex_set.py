@@ -317,15 +317,35 @@ def _linear_extent(rows: Array, offsets: Array, lower: Array, upper: Array) -> t
     """Tighten a box by half-spaces, entry by entry; an entry that stays unbounded keeps its infinity."""
     from scipy.optimize import linprog
 
-    box = list(zip(lower, upper, strict=True))
+    units = _sizes_of_entries(rows, offsets, lower, upper)  # the solver's tolerances are absolute
+    scaled = rows * units
+    size = np.linalg.norm(scaled, axis=1)
+    size[size == 0] = 1.0
+    box = list(zip(lower / units, upper / units, strict=True))
     low, high = lower.copy(), upper.copy()
     for i in range(lower.size):
-        for sign, side in ((1.0, low), (-1.0, high)):
+        for sign, side, inner in ((1.0, low, np.maximum), (-1.0, high, np.minimum)):
             cost = np.zeros(lower.size)
             cost[i] = sign
-            found = linprog(cost, A_ub=rows, b_ub=offsets, bounds=box)
+            found = linprog(cost, A_ub=scaled / size[:, None], b_ub=offsets / size, bounds=box)
             if found.status == 0:
                 value = sign * float(found.fun or 0.0)
                 # outward by the solver's own tolerance, so that nothing of the set is cut off
-                side[i] = value - sign * 1e-7 * max(1.0, abs(value))
+                side[i] = inner(side[i], units[i] * (value - sign * 1e-7 * max(1.0, abs(value))))
     return low, high
+
+
+def _sizes_of_entries(rows: Array, offsets: Array, lower: Array, upper: Array) -> Array:
+    """Powers of two (k,), about as large as entries of the set: what bounds and half-spaces leave to each alone.
+
+    An entry of which offsets say nothing is as large as the entries that it stands beside.
+    """
+    sizes = np.zeros(lower.size)
+    for _ in range(lower.size):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = (np.abs(offsets) + np.abs(rows) @ sizes)[:, None] / np.abs(rows)
+        left = np.vstack([left, np.abs(lower), np.abs(upper)])
+        for j in np.flatnonzero(sizes == 0):
+            met = left[np.isfinite(left[:, j]) & (left[:, j] > 0), j]
+            sizes[j] = 2.0 ** np.round(np.log2(np.median(met))) if met.size else 0.0
+    return np.where(sizes > 0, sizes, 1.0)

@@ -190,6 +190,20 @@ def test_rows_are_known_where_only_the_samples_hide_a_mode(shared, gaps):
         assert abs(ball.at_samples[0, 0] - value) <= 0.01 * value
 
 
+@pytest.mark.parametrize("outputs", [2, 3])
+def test_bounds_on_the_norm_have_no_axes(outputs):
+    """Whoever turns all outputs, or all disturbances, says the same; noise of one output alone is within either."""
+    A, C = np.array([[-0.3, 1.0], [-1.0, -0.1]]), np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 0.3]])[:outputs]
+    Q, R = (np.linalg.qr(np.random.default_rng(3).standard_normal((k, k)))[0] for k in (outputs, 2))
+    asked = {"schedule": sd.PeriodicSchedule([0.7]), "w_bound": 0.05, "v_bound": 0.2, "of": "x1", "rtol": 1e-3}
+    one = sd.guaranteed_accuracy(sd.Plant(A, C), **asked)
+    other = sd.guaranteed_accuracy(sd.Plant(A, Q @ C, G=R), **asked)
+    assert other.lower[0] <= one.upper[0]
+    assert one.lower[0] <= other.upper[0]
+    box = sd.guaranteed_accuracy(sd.Plant(A, C), **asked | {"v_bound": [0.2] * outputs})
+    assert one.upper[0] < box.lower[0]
+
+
 def test_every_row_of_an_oscillation_that_samples_hide_is_unknown():
     plant = sd.Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
     found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1)

@@ -106,3 +106,14 @@ def test_rotations_of_more_samples_than_days_and_of_fewer():
         assert all(is_admissible(case, times) for times in found)
         values = worst_sigma2(case, np.array(found), inner=0)
         assert np.all(np.diff(values) < 0)
+
+
+def test_rotations_share_samples_among_days_whatever_a_day_is_called():
+    days = problem(4, 6)
+    hours = DesignProblem(
+        Plant(days.plant.A / 24, days.plant.C), 96.0, 96.0, 3.6, 6, 24 * days.forbidden, np.zeros(0), (None,)
+    )
+    for case, day in ((days, 1.0), (hours, 24.0)):
+        for times in rotated(case, relax_placed(case), 3, share=0.02):
+            counts = np.bincount(np.floor(times / day).astype(int), minlength=4)
+            assert sorted(counts) == [1, 1, 2, 2]

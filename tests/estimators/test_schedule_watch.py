@@ -165,10 +165,11 @@ def test_a_family_that_remembers_no_gap_is_asked_for_the_last_one_alone():
 def test_rounded_stamps_far_from_zero_keep_a_range_of_gaps():
     """Stamps to a thousandth, whose differences are gaps of the range but for their own rounding."""
     gaps = np.random.default_rng(2).integers(300, 1201, 400) / 1000
-    times = np.round(1e4 + np.cumsum(gaps), 3).tolist()
-    watch = ScheduleWatch(GapRange(0.3, 1.2), "s")
-    assert all(watch.sample_fits(times[: k + 1], np.ones(1), False) for k in range(1, 400))
-    assert not watch.sample_fits([*times, times[-1] + 1.2001], np.ones(1), False)
+    for zero in (1e4, -1e4, -1.7e9):
+        times = np.round(zero + np.cumsum(gaps), 3).tolist()
+        watch = ScheduleWatch(GapRange(0.3, 1.2), "s")
+        assert all(watch.sample_fits(times[: k + 1], np.ones(1), False) for k in range(1, 400))
+        assert not watch.sample_fits([*times, times[-1] + 1.2001], np.ones(1), False)
 
 
 def test_a_family_plans_every_output():

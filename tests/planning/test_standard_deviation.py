@@ -132,6 +132,16 @@ def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
         assert value[1] - value[0] == pytest.approx(-slope, rel=1e-3)
 
 
+def test_a_goal_at_given_times_has_its_tangent_there():
+    wanted = sd.PlanRequirement({"position": goal(1.0, at=[2.4, 4.8])}, sensors=TERMS, **GIVEN)
+    problem = pose_plan(OSCILLATOR, wanted)
+    spread = GridFilter(problem, discretize(problem))
+    z = problem.allowed & (np.arange(problem.steps) < 4)[:, None]
+    before, _ = spread.variances(z[None])
+    assert before[0, 0, 3] < before[0, 0, 6] < before[0, 0].max()  # times at which nothing is wanted are worse
+    assert spread.tangent(z.astype(float), 0).end == 6
+
+
 def test_late_and_lost_samples_are_as_the_plain_filter_has_them(found):
     bears = found.robustness
     worst = int(np.argmax(bears.lost_ratio))

@@ -11,6 +11,7 @@ import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
 from sampling_design.certificates import random_arrivals
 from sampling_design.certificates.compare import arrival_patterns as module
+from sampling_design.certificates.compare import random_arrivals as module_of_windows
 from sampling_design.errors import ArgumentError
 from sampling_design.observability import loss_tolerance
 from tests.cases import few
@@ -161,15 +162,16 @@ def test_drawn_records_keep_the_mean(spiral, cases):
     assert abs(share - found.probability[worst, 0]) < 4 * np.sqrt(0.25 / cases)
 
 
-@pytest.mark.parametrize(("size", "per"), [(1e-9, 1.0), (1e9, 3600.0)])
-def test_units_change_nothing(spiral, size, per, monkeypatch):
+@pytest.mark.parametrize(("size", "per", "angle"), [(1e-9, 1.0, 0.0), (1e9, 3600.0, 0.0), (1.0, 1.0, 0.8)])
+def test_units_and_axes_change_nothing(spiral, size, per, angle, monkeypatch):
     monkeypatch.setattr(module, "MOST_CLASSES", 8)
     monkeypatch.setattr(module, "STEPS", 16)
-    other = Plant(SPIRAL.A / per, SPIRAL.C * size)
+    T = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     c = spiral
-    weights = {"P2": c.P2, "Qw": c.Qw / per, "R": c.R / size**2, "Qv": c.Qv / size**2, "eta": c.eta / per}
+    P2 = T @ c.P2 @ T.T
+    weights = {"P2": P2, "Qw": c.Qw / per, "R": c.R / size**2, "Qv": c.Qv / size**2, "eta": c.eta / per}
     times = PeriodicSchedule(c.schedule.gaps * per, first=c.schedule.first * per)
-    turned = Plant(other.A, other.C, G=other.G / per)
+    turned = Plant(T @ SPIRAL.A @ T.T / per, SPIRAL.C @ T.T * size, G=T / per)
     made = sd.certify(turned, times, **weights)
     assert random_arrivals(made, 0.2).contracts == pytest.approx(random_arrivals(c, 0.2).contracts)
     often = [random_arrivals(each, arrival_rate=rate) for each, rate in ((made, 2.0 / per), (c, 2.0))]
@@ -203,6 +205,13 @@ def test_what_it_says(spiral):
     assert "at the rate" in found.explain()
     assert found.to_dict()["contracts"] == list(found.contracts)
     assert "at least 0.9998" in str(found.claim)
+
+
+def test_a_window_is_no_period_longer_for_rounding():
+    for period in (0.1, 0.3, 1 / 3, 7.7e8):
+        for count in range(1, 60):
+            assert module_of_windows._periods(count * period, period, 1, True) == count
+            assert module_of_windows._periods(count * period * (1 + 1e-6), period, 1, True) == count + 1
 
 
 def test_what_it_refuses(spiral):

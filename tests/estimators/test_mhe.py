@@ -413,6 +413,8 @@ def test_more_refusals_at_the_door():
         ((10.0, None, None), "`y` and `u` are both missing"),
         ((10.0, [0.1, 0.1], [np.nan]), "`u` must not hold NaN"),
         ((10.0, [0.1, 0.1], [1.0, 2.0]), "`u` must have 1 entry"),
+        ((10.0, [0.1, 0.1], np.array(["high"])), "`u` must hold real numbers"),
+        ((10.0, [0.1, 0.1], np.array([1j])), "`u` must be real"),
         ((np.nan, [0.1, 0.1], None), "`t` must be finite"),
         ((3.0, [0.1, 0.1], None), "goes back beyond the window"),
         ((9.0, [0.1, 0.7], None), "was already given as .* duplicates must agree"),

@@ -92,6 +92,15 @@ def test_equal_gaps_are_proven_best_for_a_satellite_beside_another(late):
     assert known <= bounded(problem, known).value <= 1.005 * known
 
 
+def test_the_bound_is_the_same_in_any_unit_of_time():
+    (A, C), *lengths, samples, spacing, late = CASES[2]
+    one = posed((A, C), *lengths, samples, spacing, late)
+    aim = reached(one, even(one))
+    other = posed((10 * A, C), *(length / 10 for length in lengths), samples, spacing / 10, late / 10)
+    assert reached(other, even(other)) == pytest.approx(aim, rel=1e-9)
+    assert bounded(other, aim).value == pytest.approx(bounded(one, aim).value, rel=1e-3)
+
+
 def test_multipliers_that_leave_a_gap_out_prove_nothing():
     problem = posed(*CASES[1])
     bound = bounded(problem, reached(problem, even(problem)))

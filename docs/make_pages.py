@@ -8,6 +8,7 @@
 """
 
 import ast
+import functools
 import importlib
 import inspect
 import re
@@ -340,6 +341,19 @@ def copy_notebooks(source: Path, target: Path) -> None:
     write(target / "index.md", "\n".join(lines))
 
 
+@functools.cache
+def imports_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Return the imports of a file, those inside functions and branches among them: no expression is looked into."""
+    found, waiting = [], list(ast.parse(path.read_text()).body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append(node)
+        for block in ("body", "orelse", "handlers", "finalbody", "cases"):
+            waiting += getattr(node, block, ())
+    return found
+
+
 def imports_between(package: Path) -> dict[tuple[str, str], int]:
     """Count the modules of one room that import another."""
     found: dict[tuple[str, str], int] = {}
@@ -349,13 +363,10 @@ def imports_between(package: Path) -> dict[tuple[str, str], int]:
         if here not in rooms:
             continue
         named = set()
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                modules = [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
-            elif isinstance(node, ast.Import):
-                modules = [a.name for a in node.names]
-            else:
-                continue
+        for node in imports_of(path):
+            modules = [a.name for a in node.names]
+            if isinstance(node, ast.ImportFrom):
+                modules = [node.module, *(f"{node.module}.{name}" for name in modules)] if node.module else []
             named |= {m.split(".")[1] for m in modules if m.startswith("sampling_design.")}
         for other in named & rooms - {here}:
             found[here, other] = found.get((here, other), 0) + 1
@@ -464,7 +475,7 @@ def arrows_inside(package: Path, room: str) -> dict[str, set[str]]:
         if here == "__init__":
             continue
         below.setdefault(here, set())
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in imports_of(path):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"sampling_design.{room}."):
                 other = node.module.split(".")[2]
                 if other != here:

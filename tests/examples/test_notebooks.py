@@ -84,8 +84,7 @@ def test_pictures_show_by_themselves_in_a_kernel():
     assert run("run", LECTURES[0]) >= 3
 
 
-@pytest.mark.long
-def test_every_exercise_has_its_solution_and_every_solution_holds():
+def test_every_exercise_has_its_solution():
     assert [path.name for path in SOLUTIONS] == [path.name for path in LECTURES]
     for lecture, solved in zip(LECTURES, SOLUTIONS, strict=True):
         asked, answered = (
@@ -95,4 +94,9 @@ def test_every_exercise_has_its_solution_and_every_solution_holds():
         exercises = next(text for text in asked if "## Exercises" in text)
         for number in range(1, 9):
             assert (f"\n{number}. " in exercises) == any(f"**{number}.**" in text for text in answered), solved.stem
-    run("plain", *SOLUTIONS)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("begin", [0, 3, 6])
+def test_every_solution_holds(begin):
+    run("plain", *SOLUTIONS[begin : begin + 3])

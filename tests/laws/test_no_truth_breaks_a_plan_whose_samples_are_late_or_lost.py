@@ -181,10 +181,11 @@ def test_the_next_sample_keeps_the_tolerance_while_results_are_out(seed):
 
 
 @pytest.mark.long
-def test_most_plans_are_flown_to_within_a_twentieth_of_what_they_reach():
-    count, broken, near, median = shares(range(60, 70), "followed")
-    assert (count, broken) == (10, 0)
-    assert near >= 8
+@pytest.mark.parametrize("seeds", [range(60, 65), range(65, 70)], ids=str)
+def test_most_plans_are_flown_to_within_a_twentieth_of_what_they_reach(seeds):
+    count, broken, near, median = shares(seeds, "followed")
+    assert (count, broken) == (5, 0)
+    assert near >= 4
     assert median > 0.99
 
 

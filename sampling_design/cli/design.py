@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -23,14 +23,15 @@ from sampling_design.cli.options import (
 )
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.cli.sigma import window_length
-from sampling_design.design.pareto import NO_NEED, NO_TIME
-from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
 from sampling_design.records.record import short
 from sampling_design.schedules.time_stamps import parse_date
+
+if TYPE_CHECKING:
+    from sampling_design.design.schedule_design import ScheduleDesign
 
 SECONDS_BOUGHT = 1.0
 """What `design` may take to say what samples buy, where none are needed."""
@@ -191,6 +192,8 @@ def pareto(
 
     Example: sampling-design pareto examples/plants/oscillator.toml --counts 2-8 -o out
     """
+    from sampling_design.design.pareto import NO_NEED, NO_TIME
+
     plant = files.plant(plant_file)
     requirement, folder = _required(settings, requirement_file), settings.folder()
     resume = None if folder is None else folder / "pareto.json"

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import sampling_design as sd
-from sampling_design.accuracy.interval import Interval
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import from_json, from_toml, read_text
 
 if TYPE_CHECKING:
+    from sampling_design.accuracy.interval import Interval
     from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
     from sampling_design.certificates.exact.certificate import SampledCertificate
     from sampling_design.checkers.outcome import Verdict
@@ -166,6 +166,8 @@ def holds_interval(path: Path) -> bool:
 
 def interval(path: Path, about: Plant | None) -> tuple[Interval, Verdict]:
     """The interval of a file, and the checkers' verdict on it."""
+    from sampling_design.accuracy.interval import Interval
+
     found = _read("certificate", Interval.read, path)
     if about is not None and (other := first_difference(about, found.plant)):
         who = found.plant.name or "unnamed"

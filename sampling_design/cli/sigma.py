@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -20,14 +20,15 @@ from sampling_design.cli.options import (
 )
 from sampling_design.cli.settings import Settings
 from sampling_design.observability.count.default_window import default_window
-from sampling_design.observability.sigma_bracket import coordinates_in
-from sampling_design.observability.windows.window_record import WindowSigma
-from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
 from sampling_design.records.record import short
-from sampling_design.schedules.family import AnySchedule
+
+if TYPE_CHECKING:
+    from sampling_design.observability.windows.window_record import WindowSigma
+    from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
+    from sampling_design.schedules.family import AnySchedule
 
 RigorousBound = Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")]
 
@@ -107,6 +108,8 @@ def window_length(
 
 def _end_bracket(settings: Settings, found: WindowSigma | WorstCaseSigma, split: ModalSplit, name: str) -> None:
     """Write and show a bracket; leave with 3 where it did not close and with 1 where sigma is proven to be nothing."""
+    from sampling_design.observability.sigma_bracket import coordinates_in
+
     result = replace(found, coordinates=coordinates_in(split))
     settings.draw(result, name)
     settings.finish(result, result.to_dict(), name)

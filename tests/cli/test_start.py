@@ -4,6 +4,7 @@ import inspect
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -29,6 +30,12 @@ ENDING = {
 LISTED = {*ENDING, "sampling_design.cli.app", "typer", "shellingham", "click", "annotated_doc", "typing_extensions"}
 PARSING = {"pydantic", "pydantic_core", "annotated_types", "typing_inspection"}
 """What newer versions of typer read flags with."""
+PLANT = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"
+OTHER_ROOMS = (
+    *(f"sampling_design.{room}." for room in ("accuracy", "design", "estimators", "planning", "plotting", "validation")),
+    *("matplotlib", "cvxpy", "clarabel", "control", "pandas", "scipy.optimize"),
+)
+"""What the command `info` does without."""
 COMPLETING = {"_SAMPLING_DESIGN_COMPLETE": "complete_bash", "COMP_WORDS": "sampling-design ce", "COMP_CWORD": "1"}
 
 
@@ -64,6 +71,13 @@ def test_what_the_list_of_commands_may_import(arguments, environment, more):
     found, told = loaded_by(*arguments, **environment)
     assert "certify" in told
     assert found <= LISTED | more
+
+
+def test_a_plant_is_shown_without_what_designs_proves_and_draws():
+    found, told = loaded_by("info", str(PLANT))
+    assert "zero count" in told
+    other = [name for name in found if name.startswith(OTHER_ROOMS)]
+    assert not other
 
 
 @pytest.mark.parametrize("name", app.COMMANDS)

@@ -25,7 +25,8 @@ LEAST = 0.02
 
 SIZES = {"states": (1, 2, 4, 8, 16, 32, 64), "samples": (5, 10, 20, 40, 80, 160, 320), "outputs": (1, 2, 4, 8)}
 SHORT = {"states": 16, "samples": 40, "outputs": 4}
-SLOW = {"certify": {"states": 4, "samples": 20, "outputs": 2}, "accuracy": {"states": 4, "samples": 20, "outputs": 2}}
+FEW = {"states": 4, "samples": 20, "outputs": 2}
+SLOW = dict.fromkeys(("certify", "accuracy", "finite accuracy", "counts"), FEW) | {"worst case": FEW | {"states": 2}}
 """What these take at most unless it is to be `--long`: a point of them is seconds."""
 
 MIDDLE = {"states": 2, "samples": 20, "outputs": 1}
@@ -74,6 +75,65 @@ def accuracy(states: int, samples: int, outputs: int, regular: bool = True, ball
     return lambda: sd.guaranteed_accuracy(of, at, w_bound=0.1, v_bound=v, budget=60)
 
 
+def finite_accuracy(states: int, samples: int, outputs: int, regular: bool = True, **given: object) -> Call:
+    """The same over samples that end, from a first error that is bounded."""
+    of, at = plant(states, outputs), sd.Schedule(times(samples, regular))
+    known = {"w_bound": 0.1, "v_bound": np.full(outputs, 0.1), "initial_error": np.ones(states)} | given
+    return lambda: sd.guaranteed_accuracy(of, at, budget=60, **known)
+
+
+def accuracy_of_counts(states: int, samples: int, outputs: int, regular: bool = True, of: object = None) -> Call:
+    del regular
+    known = plant(states, outputs)
+    asked = {"period": float(samples), "w_bound": 0.1, "v_bound": np.full(outputs, 0.1), "budget": 60, "of": of}
+    return lambda: sd.accuracy.accuracy_by_count(known, (samples // 2, samples), **asked)
+
+
+def worst_case(
+    states: int, samples: int, outputs: int, regular: bool = True, late: float = 0.0, apart: bool = False
+) -> Call:
+    """As many samples as twice the states, whatever is asked for: the search grows with each."""
+    del regular, samples
+    of, count = plant(states, outputs), 2 * states
+    tolerance = dict.fromkeys(of.outputs.names, late) if apart else late
+    family = sd.SpacedWindows(2.0 * count, count, 0.5)
+    return lambda: sd.worst_case_sigma(of, family, timing_tolerance=tolerance, budget=30)
+
+
+def interval(states: int, samples: int, outputs: int, regular: bool = True, **given: object) -> Call:
+    of, rng = plant(states, outputs), np.random.default_rng(0)
+    record = [(float(t), 0.1 * rng.uniform(-1, 1, outputs), None) for t in times(samples, regular)]
+    known = {"w_bound": 0.2, "v_bound": np.full(outputs, 0.2)} | given
+    return lambda: sd.state_interval(of, record, **known)
+
+
+class OpenLoop:
+    """An estimator that takes no sample in: what a trial costs without one."""
+
+    def __init__(self, of: sd.Plant):
+        self.plant = of
+
+    def start(self, prior: np.ndarray, prior_time: float = 0.0) -> None:
+        self.t, self.x = prior_time, np.asarray(prior, dtype=float)
+
+    def update(self, t: float, y: object, u: object = None) -> np.ndarray:
+        del y, u
+        self.x, self.t = self.predict(t), t
+        return self.x
+
+    def predict(self, t: float) -> np.ndarray:
+        return self.plant.transition(t - self.t) @ self.x
+
+
+def validated(states: int, samples: int, outputs: int, regular: bool = True, own: bool = False) -> Call:
+    """Four trials."""
+    of, at = plant(states, outputs), schedule(samples, regular)
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    mhe = sd.MovingHorizonEstimator(of, horizon=float(samples), cost=sd.CostFunction(eta=0.2), **bounds)
+    chosen = OpenLoop(of) if own else mhe
+    return lambda: sd.validate(of, at, estimator=chosen, runs=4, duration=2.0 * samples, rng=0, **bounds)
+
+
 def estimated(states: int, samples: int, outputs: int, regular: bool = True, **given: object) -> Call:
     """One update with a full window; the record goes on from call to call."""
     of, rng = plant(states, outputs), np.random.default_rng(0)
@@ -109,6 +169,27 @@ VERBS = {
     "sigma": Verb(sigma, {"irregular": IRREGULAR, "late samples": {"late": 0.01}}),
     "certify": Verb(certified, {"irregular": IRREGULAR, "rate given": {"rate": 0.05}}),
     "accuracy": Verb(accuracy, {"irregular": IRREGULAR, "noise in a ball": {"ball": True}}),
+    "finite accuracy": Verb(
+        finite_accuracy,
+        {
+            "irregular": IRREGULAR,
+            "noise in a ball": {"v_bound": 0.1},
+            "start unknown": {"initial_error": None},
+            "late samples": {"timing_tolerance": 0.05, "start": 0.0, "end": 21.0},
+        },
+    ),
+    "counts": Verb(accuracy_of_counts, {"one state": {"of": "x1"}}),
+    "worst case": Verb(worst_case, {"late": {"late": 0.02}, "late by output": {"late": 0.02, "apart": True}}),
+    "interval": Verb(
+        interval,
+        {
+            "irregular": IRREGULAR,
+            "noise in a ball": {"v_bound": 0.2},
+            "from a start": {"initial_error": 3.0},
+            "an outlier": {"outliers": 1},
+        },
+    ),
+    "validate": Verb(validated, {"irregular": IRREGULAR, "own estimator": {"own": True}}),
     "estimate": Verb(
         estimated,
         {

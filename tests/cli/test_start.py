@@ -33,7 +33,7 @@ PARSING = {"pydantic", "pydantic_core", "annotated_types", "typing_inspection"}
 PLANT = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"
 OTHER_ROOMS = (
     *(f"sampling_design.{room}." for room in ("accuracy", "design", "estimators", "planning", "validation")),
-    *("sampling_design.plotting", "matplotlib", "cvxpy", "clarabel", "control", "pandas"),
+    *("sampling_design.plotting.", "matplotlib", "cvxpy", "clarabel", "control", "pandas"),
 )
 """What the command `info` does without."""
 COMPLETING = {"_SAMPLING_DESIGN_COMPLETE": "complete_bash", "COMP_WORDS": "sampling-design ce", "COMP_CWORD": "1"}

@@ -57,7 +57,7 @@ def separated(
         if not fresh or work.over:
             break
         if len(keys) > MANY:  # rows that the point keeps easily may come back when one breaks them
-            slack = (program.A @ x - program.b)[covering.frame[0].shape[0] :]
+            slack = (program.A @ x - program.b)[covering.frame[0].shape[0] :].reshape(-1, len(keys)).min(axis=0)
             keys = [key for key, s in zip(keys, slack.tolist(), strict=True) if s <= EASY]
         keys += fresh[:MANY]
     return keys, x
@@ -68,12 +68,15 @@ def _violated(
 ) -> list[Key]:
     """Ends at which a fractional point sees too little of a trajectory, first where it sees least."""
     steps = pool.steps
-    z = covering.coverage(x)
-    spectrum = np.fft.rfft(z, axis=0)
+    spectrum = np.fft.rfft(covering.coverage(x), axis=0)
+    samples = np.fft.rfft(np.where(covering.sample_of >= 0, x[covering.sample_of], 0.0))
     fresh: list[tuple[float, Key]] = []
     for a, view in views.items():
         trajectory = pool.trajectories[a]
         coverage = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
+        if not covering.whole:
+            seen = np.fft.rfft(np.minimum(view[:, covering.used].sum(axis=1), 1.0))
+            coverage = np.minimum(coverage, np.fft.irfft(samples * seen, steps))
         asked = pool.ends[trajectory.goal].astype(float)
         if trajectory.at_sample:
             asked = asked * np.where(covering.sample_of >= 0, x[covering.sample_of], 0.0)
@@ -175,11 +178,19 @@ class _ProofTree:
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] if find is not None else 0
         self.program = self.covering.model(self.pool.trajectories, keys, level)
+        self.of_samples = self._of_samples(len(keys))
 
     def proof(self) -> CostProof:
         """The proof from the root."""
         tree, value = self.node(np.zeros(self.covering.columns), self.covering.ceiling(self.target))
+        first = self.program.b.size - len(self.of_samples)
+        place = np.argsort(np.argsort(self.of_samples, kind="stable"), kind="stable")
+        tree = tree.numbered(lambda row: row if row < first else first + int(place[row - first]))
         return CostProof(self.level, min(self.covering.lifted(value), self.target), tuple(self.keys), tree)
+
+    def _of_samples(self, keys: int) -> list[bool]:
+        """Which rows of so many keys are those of samples: in the proof these are behind all others."""
+        return [False] * keys + ([] if self.covering.whole else [True] * keys)
 
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
         """The tree below a node and what it proves; nodes are shared out evenly."""
@@ -225,5 +236,6 @@ class _ProofTree:
             if fresh:
                 self.keys += fresh
                 self.program = self.covering.longer(self.program, self.pool.trajectories, fresh, self.level)
+                self.of_samples += self._of_samples(len(fresh))
                 return True
         return False

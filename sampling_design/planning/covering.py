@@ -43,6 +43,11 @@ class CoveringProgram:
     A: sparse.csr_matrix  # all rows as A x >= b
     b: Array  # (m,)
 
+    @property
+    def unit(self) -> float:
+        """A power of two near the least price: a solver's tolerances are absolute, and prices have any unit."""
+        return float(2.0 ** np.floor(np.log2(np.min(self.c[self.c > 0], initial=np.inf)))) if self.c.any() else 1.0
+
 
 class CoveringRows:
     """The rows that hold for every choice of a problem, and those of trajectories."""
@@ -189,36 +194,56 @@ class CoveringRows:
         there = self.places[self.at] >= 0
         return np.asarray(np.sum(shows[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
 
-    def row(self, trajectory: HiddenTrajectory, end: int, level: float) -> tuple[Index, Array, float]:
-        """The row that asks for a trajectory, turned to `end` and scaled to `level`, to be seen."""
-        weights = self.view(trajectory, level)
-        back, column = np.nonzero(weights)
-        mine, values = self.places[(end - back) % self.problem.steps, column], weights[back, column]
-        mine, values = mine[mine >= 0], values[mine >= 0]
+    def rows(self, trajectory: HiddenTrajectory, end: int, level: float) -> list[tuple[Index, Array, float]]:
+        """The row that asks for a trajectory, turned to `end` and scaled to `level`, to be seen; that for its samples.
+
+            sum over i, j of w_ij z_ij >= 1,      sum over i of min(1, sum over j of w_ij) n_i >= 1
+
+        The second follows where n_i >= z_ij are 0 or 1, not of fractions: a sensor that is read
+        by half then pays for half a visit. Where samples are whole there is no other one than the first.
+        """
+        weights = trajectory.weights(level)[(end - self.at) % self.problem.steps] * self.problem.allowed[self.at]
+        own = int(self.sample_of[end]) if trajectory.at_sample else -1
+        each = np.minimum(weights[:, self.used].sum(axis=1), 1.0)
+        rows = (
+            [each] if self.whole else [np.append(np.zeros(self.at.size), weights[self.problem.allowed[self.at]]), each]
+        )
         if trajectory.at_sample:  # only asked for where it is a sample's own
-            own = int(self.sample_of[end])
-            values = np.append(values[mine != own], values[mine == own].sum() - 1.0)
-            mine = np.append(mine[mine != own], own)
-            asked = own >= 0 and values[-1] < 0
-            return (mine, values, 0.0) if asked else (np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
-        return mine, values, 1.0
+            for values in rows:
+                values[own] -= 1.0
+            rows = [values if own >= 0 and values[own] < 0 else np.zeros(0) for values in rows]
+        places = map(np.flatnonzero, rows)
+        right = 0.0 if trajectory.at_sample else 1.0
+        return [(place, values[place], right) for place, values in zip(places, rows, strict=True)]
 
     def model(
         self, trajectories: list[HiddenTrajectory], keys: list[Key], level: float, undetected_at: Sequence[Mask] = ()
     ) -> CoveringProgram:
-        """The program of these trajectories at a level, and of what must be measured once wherever it shows."""
-        A, b = self.frame
-        rows = [self.row(trajectories[a], end, level) for a, end in keys]
+        """The program of these trajectories at a level, and of what must be measured once wherever it shows.
+
+        Behind the frame: a row for each key, those of what must be measured, and each key's row for samples.
+        """
         places = [np.unique(self.place[where]) for where in undetected_at]
-        rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
-        more, right = _stacked(rows, self.columns)
-        return CoveringProgram(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
+        more = [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
+        return self._with_rows(CoveringProgram(self.cost, *self.frame), trajectories, keys, level, more)
 
     def longer(
         self, model: CoveringProgram, trajectories: list[HiddenTrajectory], keys: list[Key], level: float
     ) -> CoveringProgram:
-        """A program with more rows, behind those that there are."""
-        more, right = _stacked([self.row(trajectories[a], end, level) for a, end in keys], self.columns)
+        """A program with more rows, behind those that there are: one for each key, then each key's for samples."""
+        return self._with_rows(model, trajectories, keys, level, [])
+
+    def _with_rows(
+        self,
+        model: CoveringProgram,
+        trajectories: list[HiddenTrajectory],
+        keys: list[Key],
+        level: float,
+        between: list[tuple[Index, Array, float]],
+    ) -> CoveringProgram:
+        asked = [self.rows(trajectories[a], end, level) for a, end in keys]
+        rows = [rows[0] for rows in asked] + between + [row for rows in asked for row in rows[1:]]
+        more, right = _stacked(rows, self.columns)
         A = sparse.vstack([model.A, more], format="csr")
         return CoveringProgram(model.c, A, np.concatenate([model.b, right]))
 
@@ -249,30 +274,34 @@ def _is_whole(problem: PlanProblem) -> bool:
 
 
 def cheapest(
-    covering: CoveringRows, model: CoveringProgram, tie: Array, work: Budget, below: float = np.inf, nodes: int = NODES
-) -> tuple[Mask | None, bool]:
+    covering: CoveringRows, model: CoveringProgram, tie: Array, work: Budget, below: float = np.inf, nodes: int = NODES,
+    within_limits: bool = False,
+) -> tuple[Mask | None, bool]:  # fmt: skip
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 
     `tie` is a small cost that decides among choices of equal price; only those `below` a cost are of use. That is a row
     of the program, too: without it the solver goes through all choices of just that cost before it says so.
+    `within_limits`: a choice that the limits admit will do, however dear, the first that is found.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     rows = [LinearConstraint(model.A, model.b, np.inf)]
     if np.isfinite(below):
         most = below - covering.grain / 2 if covering.grain else below * (1 - GRAIN)
-        rows.append(LinearConstraint(sparse.csr_matrix(model.c[None]), -np.inf, most))
+        rows.append(LinearConstraint(sparse.csr_matrix(model.c[None] / model.unit), -np.inf, most / model.unit))
     size = max(1, model.A.nnz)
-    left = (work.left / (COVER[1] * size) - covering.columns) / NODE
-    most = int(np.clip(left, 1, NODES))  # no more than there is work left for
+    most = int(np.clip((work.left / (COVER[1] * size) - 1) / NODE, 1, NODES))  # no more than there is work left for
     found = milp(
-        model.c + tie,
+        (tie if within_limits else model.c + tie) / model.unit,
         constraints=rows,
         integrality=np.ones(covering.columns),
         bounds=Bounds(0, covering.ceiling(min(below, covering.dearest))),
-        options={"node_limit": min(most, max(FEWEST, min(nodes, ENTRIES // size))), "mip_rel_gap": NEAR},
+        options={
+            "node_limit": min(most, max(FEWEST, min(nodes, ENTRIES // size))),
+            "mip_rel_gap": np.inf if within_limits else NEAR,
+        },
     )
-    work.add(COVER, size * (covering.columns + NODE * max(1, found.mip_node_count or 1)))
+    work.add(COVER, size * (1 + NODE * max(0, (found.mip_node_count or 0) - 1)))
     if found.x is None:
         return None, found.status == 2
     return covering.choice(found.x), False
@@ -283,14 +312,14 @@ def relaxed(model: CoveringProgram, low: Array, high: Array, work: Budget) -> tu
     from scipy.optimize import linprog
 
     work.add(RELAXED, model.A.nnz)
-    (m, k), price = model.A.shape, OPEN_ROW * float(np.max(model.c, initial=1.0))
+    (m, k), price = model.A.shape, OPEN_ROW * float(np.max(model.c, initial=model.unit))
     A = sparse.hstack([model.A, sparse.identity(m)], format="csr")
     bounds = np.vstack([np.column_stack([low, high]), np.column_stack([np.zeros(m), np.full(m, np.inf)])])
     cost = np.concatenate([model.c, np.full(m, price)])
-    found = linprog(cost, A_ub=-A, b_ub=-model.b, bounds=bounds, method="highs")
+    found = linprog(cost / model.unit, A_ub=-A, b_ub=-model.b, bounds=bounds, method="highs")
     if found.x is None:
         return np.zeros(k), np.zeros(m), -np.inf
-    y = np.maximum(-np.asarray(found.ineqlin.marginals), 0.0)
+    y = np.maximum(-np.asarray(found.ineqlin.marginals), 0.0) * model.unit
     y[y < price * 1e-12] = 0.0
     return np.asarray(found.x[:k]), y, proven(model, y, low, high)
 

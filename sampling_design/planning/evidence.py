@@ -130,7 +130,7 @@ def broken_below(bound: PlanBound, covering: CoveringRows) -> dict[int, list[int
         for leaf in bound.cost.tree.leaves():
             for row, multiplier in zip(leaf.rows, leaf.values, strict=True):
                 if row >= frame and multiplier > 0:
-                    a, end = bound.cost.keys[row - frame]
+                    a, end = bound.cost.keys[(row - frame) % len(bound.cost.keys)]
                     found.setdefault(bound.trajectories[a].goal, set()).add(end % covering.problem.steps)
     return {goal: sorted(found[goal]) for goal in sorted(found)}
 

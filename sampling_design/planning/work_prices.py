@@ -9,8 +9,8 @@ CONE = (1e-3, 1e-6)  # work of a cone program, and for each entry that is not ze
 STAGES = (1e-2, 1.5e-5)  # of a program over stages, and for each of them, with n states, n^1.5 times
 EXCESS = (2e-3, 4e-6)  # the same where every output is a variable
 
-COVER, NODE = (5e-3, 3.5e-7), 10
-"""Of an integer program, and for each entry and column; a node of its tree counts as so many columns."""
+COVER, NODE = (5e-3, 2e-5), 0.2
+"""Of an integer program, and for each entry; a node of its tree more costs so much of that."""
 
 MEETING = (4e-5, 2e-9)  # of a node of a tree of sets that a choice must meet, and for each entry of them
 

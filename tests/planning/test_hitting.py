@@ -163,10 +163,10 @@ def test_a_motion_at_a_sample_asks_nothing_where_none_may_be_taken():
     problem = posed(3, closed=[4])
     covering = CoveringRows(problem)
     attack = HiddenTrajectory(0, 1.0, 4, True, np.full((problem.steps, 2), 0.5), NO_FLIGHT)
-    assert covering.row(attack, 4, 1.0)[0].size == 0
-    assert covering.row(attack, 4, 1.0)[2] == 0.0
-    assert covering.row(attack, 5, 1.0)[2] == 0.0  # where one is taken, it must be seen: it is not
-    assert covering.row(attack, 5, 1.0)[1].tolist() == [-1.0]
+    assert covering.rows(attack, 4, 1.0)[0][0].size == 0
+    assert covering.rows(attack, 4, 1.0)[0][2] == 0.0
+    assert covering.rows(attack, 5, 1.0)[0][2] == 0.0  # where one is taken, it must be seen: it is not
+    assert covering.rows(attack, 5, 1.0)[0][1].tolist() == [-1.0]
 
 
 @pytest.mark.parametrize(

@@ -199,15 +199,14 @@ class CoveringRows:
 
             sum over i, j of w_ij z_ij >= 1,      sum over i of min(1, sum over j of w_ij) n_i >= 1
 
-        The second follows where n_i >= z_ij are 0 or 1, not of fractions: a sensor that is read
-        by half then pays for half a visit. Where samples are whole there is no other one than the first.
+        The second follows where n_i >= z_ij are 0 or 1, not of fractions: a sensor that is read by half then
+        pays for half a visit. Where samples are whole there is no other one than the first.
         """
         weights = trajectory.weights(level)[(end - self.at) % self.problem.steps] * self.problem.allowed[self.at]
         own = int(self.sample_of[end]) if trajectory.at_sample else -1
         each = np.minimum(weights[:, self.used].sum(axis=1), 1.0)
-        rows = (
-            [each] if self.whole else [np.append(np.zeros(self.at.size), weights[self.problem.allowed[self.at]]), each]
-        )
+        sensors = np.append(np.zeros(self.at.size), weights[self.problem.allowed[self.at]])
+        rows = [each] if self.whole else [sensors, each]
         if trajectory.at_sample:  # only asked for where it is a sample's own
             for values in rows:
                 values[own] -= 1.0

@@ -1,11 +1,13 @@
 """What samples buy: the accuracies of evenly spaced samples side by side, and that of none by an integral."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import sampling_design as sd
-from sampling_design.accuracy import accuracy_by_count
+from sampling_design.accuracy import accuracy_by_count, sample_counts
 from sampling_design.errors import ArgumentError
 from tests.cases import few
 
@@ -68,6 +70,20 @@ def test_more_samples_never_say_less_where_the_budget_is_spent():
     assert np.all(found.upper[0] == own[0])
     assert not found.closed
     assert "a larger `budget`" in found.explain()
+
+
+@pytest.mark.parametrize(("used", "shares"), [(1.0, [2, 2, 2, 2]), (0.5, [2, 7 / 3, 35 / 12, 105 / 24])])
+def test_counts_share_what_is_left_of_the_budget(used, shares, monkeypatch):
+    given, clock = [], [0.0]
+
+    def guaranteed(*_, budget, **__):
+        given.append(budget)
+        clock[0] += used * budget
+
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(sample_counts, "guaranteed_accuracy", guaranteed)
+    accuracy_by_count(PLANT, (0, 1, 2, 4), period=20.0, budget=8.0, **BOUNDS)
+    assert given == pytest.approx(shares)
 
 
 def test_what_does_not_decay_has_no_bound_without_samples():

@@ -21,6 +21,7 @@ from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact import certificate as record
 from sampling_design.certificates.exact import proof
 from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.weight_choice import ETA_RANGE, SCAN, WeightSearch
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import smallest_repair
@@ -273,6 +274,16 @@ def test_unseen_modes_are_refused_and_limit_eta():
 @pytest.mark.long
 def test_a_chosen_rate_stays_below_that_at_which_unseen_modes_decay():
     assert certify(Plant([[0.0, 0.0], [0.0, -0.3]], [[1.0, 0.0]]), EVERY).eta < 0.6
+
+
+def test_no_rate_beyond_the_largest_is_ever_tried(monkeypatch):
+    """At the bound, which is best here, the difference quotient looks back: beyond it an unseen mode may not decay."""
+    tried, plain = [], WeightSearch.setting
+    monkeypatch.setattr(WeightSearch, "setting", lambda search, eta: (tried.append(eta), plain(search, eta))[1])
+    made = certify(Plant([[0.1]], [[1.0]]), EVERY)
+    assert made.eta == pytest.approx(ETA_RANGE[1])
+    assert len(set(tried)) > SCAN
+    assert max(tried) == pytest.approx(ETA_RANGE[1], rel=1e-12)
 
 
 @pytest.mark.parametrize("schedule", [EVERY, PeriodicSchedule([0.4, 1.3]), Schedule([1.0, 2.0, 3.0])])

@@ -20,12 +20,14 @@ from sampling_design.design.search.refine import refined
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.budget import ENDLESS
 
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+
 
 def problem(**changes):
     plant = Plant(np.kron(np.diag([1.0, 1.7]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
     given = {"window": 6.0, "period": 6.0, "spacing": 0.2, "samples": 7}
     none = {"forbidden": np.zeros((0, 2)), "fixed": np.zeros(0), "available": (None,)}
-    return DesignProblem(plant, **(given | none | changes))
+    return DesignProblem(**({"plant": plant} | given | none | changes))
 
 
 @pytest.mark.parametrize("forbidden", [np.zeros((0, 2)), np.array([[0.0, 1.0], [2.5, 3.0]])])
@@ -51,6 +53,18 @@ def test_kicks_leave_a_poor_local_optimum():
     over = _Refinement(case, ENDLESS, np.sqrt(value) * (1 - 1e-9), poor, value, [])
     _kick(over, np.random.default_rng(0), 20)
     assert over.trials == []  # as good as the bound already
+
+
+def test_what_is_told_of_a_search_rises(monkeypatch):
+    """The share that is done never goes back, nor does sigma: kicks come after what is not kicked."""
+    told = []
+    monkeypatch.setattr(local_search, "KICKS", 2)
+    case = problem(plant=OSCILLATOR, forbidden=np.array([[0.0, 0.55]]), samples=3, spacing=0.1)
+    search(case, relax_placed(case), np.random.default_rng(0), 2, progress=lambda *one: told.append(one))
+    shares, values = np.transpose(told)
+    assert np.all(np.diff(shares) >= 0)
+    assert 0.5 < shares[-1] <= 1
+    assert np.all(np.diff(values) >= 0)
 
 
 @pytest.mark.long

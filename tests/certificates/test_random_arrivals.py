@@ -1,5 +1,6 @@
 """Samples lost by chance, or a Poisson process: against all patterns, drawn records, limits, what no filter bears."""
 
+import dataclasses
 import itertools
 
 import mpmath as mp
@@ -205,6 +206,15 @@ def test_what_it_says(spiral):
     assert "at the rate" in found.explain()
     assert found.to_dict()["contracts"] == list(found.contracts)
     assert "at least 0.9998" in str(found.claim)
+
+
+def test_what_is_nearly_certain_is_not_called_certain(spiral):
+    found = random_arrivals(spiral, 0.05)
+    for least, said, word in ((1 - 1e-9, "0.999999", "0.9999"), (1.0, "1", "1"), (0.25, "0.25", "0.25")):
+        nearly = dataclasses.replace(found, probability=np.full_like(found.probability, least))
+        assert f"at least {said}, and" in str(nearly.claim)
+        assert f"with probability {said} to" in repr(nearly) + str(nearly)
+        assert f"contracts with probability {word}." in nearly.explain()
 
 
 def test_a_window_is_no_period_longer_for_rounding():

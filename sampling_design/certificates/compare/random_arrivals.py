@@ -7,6 +7,7 @@ Each sample of a schedule is lost with the same probability, or samples come as 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import ROUND_FLOOR, Context
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class RandomArrivals(PlainRecord):
     def claim(self) -> Claim:
         """What is bounded, and what it assumes."""
         return Claim(
-            f"a window contracts with a probability of at least {short(self.contracts[0])}, and the expected squared "
+            f"a window contracts with a probability of at least {_below(self.contracts[0])}, and the expected squared "
             f"error by a factor of at most {short(self.mean_factor[1])}",
             "expected contraction under random arrivals",
             (
@@ -94,6 +95,10 @@ class RandomArrivals(PlainRecord):
                 "linear plant, in doubles",
             ),
         )
+
+    @property
+    def _least(self) -> str:
+        return _below(self.contracts[0])
 
     @property
     def process(self) -> str:
@@ -107,7 +112,7 @@ class RandomArrivals(PlainRecord):
     _answers = (
         "windows of {length} {time_unit} where {process}",
         "{claim.evidence}",
-        "a window contracts with probability {contracts[0]} to {contracts[1]}",
+        "a window contracts with probability {_least} to {contracts[1]}",
         "draw arrivals and count the windows that contract",
     )
     _table = {
@@ -119,7 +124,7 @@ class RandomArrivals(PlainRecord):
     def explain(self) -> str:
         """Say how likely the promise holds, and whether the error stays bounded on average."""
         unit, (lower, upper) = self.time_unit, self.contracts
-        likely = short(lower, 4) if upper - lower <= 1e-4 * upper else f"{short(lower, 4)} to {short(upper, 4)}"
+        likely = _below(lower, 4) if upper - lower <= 1e-4 * upper else f"{_below(lower, 4)} to {short(upper, 4)}"
         words = f"If {self.process}, a window of {short(self.length)} {unit} still contracts with probability {likely}."
         if self.rate is not None:
             return (
@@ -216,6 +221,11 @@ def random_arrivals(
         loss_probability=p, arrival_rate=arrival_rate, length=M, samples=samples, ends=ends, probability=probability,
         factor=factor, time_unit=c.plant.time_unit,
     )  # fmt: skip
+
+
+def _below(probability: float, digits: int = 6) -> str:
+    """A probability as text of so many digits that never says more: 1 is said of what is certain only."""
+    return short(float(Context(prec=digits, rounding=ROUND_FLOOR).create_decimal(probability)), digits)
 
 
 def _periods(asked: float, period: float, count: int, default: bool) -> int:

@@ -1,12 +1,14 @@
 """Defaults, allowed times, and impossible requirements: what is in the way, and what would work."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.problem.canonical import canonical
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
 from sampling_design.plants.modes import split_modes
@@ -26,6 +28,17 @@ def test_defaults_come_from_the_modes_and_are_told():
     assert set(used) == {"window", "period", "samples", "spacing", "timing_tolerance"}
     again, filled, _ = resolve(split_modes(OSCILLATOR), requirement)
     assert (again.to_dict(), filled) == (requirement.to_dict(), {})
+
+
+def test_a_schedule_may_be_moved_where_the_same_is_measured_whenever_it_is():
+    """Bounds by gaps alone are told of such problems only: hours of one output bar them."""
+    plant, none, some = Plant(OSCILLATOR.A, np.eye(2)), np.zeros((0, 2)), np.array([[0.5, 3.0]])
+    wait = np.linspace(0.0, 4.0, 41)
+    for forbidden, *available in ((none, None, None), (some, None, None), (none, None, some), (none, some, some)):
+        case = DesignProblem(plant, 4.0, 4.0, 0.5, 3, forbidden, np.zeros(0), tuple(available))
+        assert case.is_shift_invariant == bool(case.mask(wait).all())
+    assert not replace(case, available=(None, None), fixed=np.array([1.0])).is_shift_invariant
+    assert not replace(case, available=(None, None), chosen=np.eye(3, 2, dtype=bool)).is_shift_invariant
 
 
 def test_a_window_that_is_given_is_taken_as_it_is():

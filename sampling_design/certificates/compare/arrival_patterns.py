@@ -131,7 +131,7 @@ def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) ->
     h = M / count
     (F,), (W,) = problem.flow(h)
     x = rate * h
-    if not x or not n:
+    if not x:
         return [_Sample(F, W, 0.0, rows)] * count
     arrives = -float(np.expm1(-x))
     # the flow of (x, z), z the mean of C x over the step: their covariance is what an average reading knows

@@ -1,5 +1,6 @@
 """The chain of the paper's constants: reference numbers, validity by a plain Riccati recursion, each inequality."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,6 +11,7 @@ from sampling_design import ArgumentError, PeriodicSchedule, Plant, Schedule
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.paper import gain_sweep
+from sampling_design.certificates.paper.observable_case import SamplingHypotheses, paper_weights, tightened_weights
 from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.certificates.paper.restarts import output_predictor
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
@@ -34,6 +36,17 @@ def margin(proof, gaps, start=0.0, masks=None):
     plant = proof.plant
     weights = (proof.P1, proof.P2, proof.Qw, proof.R, proof.Qv, proof.eta)
     return riccati_margin(plant.A, plant.C, plant.G, gaps, *weights, start=start, masks=masks)
+
+
+@pytest.mark.parametrize("weights", [paper_weights, tightened_weights])
+def test_disturbances_that_are_turned_change_no_constant(weights):
+    """All of |G|, |C e^{As} G| are norms of the largest disturbance, however many enter at one place."""
+    samples = SamplingHypotheses(2.0, 3, 0.4, 1.0)
+    one = certify_detectability(Plant(OSCILLATOR.A, OSCILLATOR.C, G=np.outer([0.3, 1.0], [1.0, 0.0, 0.0])))
+    spread = Plant(OSCILLATOR.A, OSCILLATOR.C, G=np.outer([0.3, 1.0], np.ones(3) / np.sqrt(3)))
+    first, second = weights(one, samples), weights(replace(one, plant=spread), samples)
+    assert second.Qw[0, 0] == pytest.approx(first.Qw[0, 0], rel=1e-9)
+    assert pytest.approx(first.R0, rel=1e-9) == second.R0
 
 
 @pytest.mark.parametrize(

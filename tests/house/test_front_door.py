@@ -7,6 +7,7 @@ import inspect
 import pickle
 import pkgutil
 import re
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -181,6 +182,9 @@ def test_an_editor_knows_our_types(tmp_path):
     (tmp_path / "examples.py").write_text(examples)
     (tmp_path / "mypy.ini").write_text(f"[mypy]\nstrict = true\nmypy_path = {ROOT}\n{_others()}")
     cache = ROOT / ".mypy_cache" / "front_door"
+    known = cache.parent / "{}.{}".format(*sys.version_info)
+    if known.is_dir() and not cache.exists():
+        shutil.copytree(known, cache / known.name)  # what the step before has read of the libraries
     command = [sys.executable, "-m", "mypy", "--cache-dir", cache, "right.py", "wrong.py", "examples.py"]
     told = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False).stdout
     assert "right.py" not in told, told

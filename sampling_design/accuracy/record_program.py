@@ -24,6 +24,7 @@ from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
 from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array
 
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
@@ -71,6 +72,29 @@ class RowEnd:
     short: float = 0.0
 
 
+def _units(readings: Readings, lengths: Array) -> Array:
+    """(R,) the size of the noise of each row, of an exact one what the start and w do to it: for scaling only.
+
+    Where neither does anything, how far states that the noise of others hides move it.
+    """
+    exact, H = (readings.size == 0) & ~readings.below, readings.H
+    if not exact.any():
+        return np.where(readings.below, 1.0, readings.size)
+    spread = np.zeros((H.shape[1], H.shape[1]))
+    if lengths.size:
+        with np.errstate(over="ignore", invalid="ignore"):
+            W = discounted_flow(readings.A, readings.G @ readings.G.T, lengths)[1].mean(axis=0)
+        spread = np.nan_to_num(W) * float(np.mean(lengths))
+    if readings.start.root is not None:
+        root = readings.start.root
+        spread[: len(root), : len(root)] += root @ root.T
+    moved = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", H, spread, H), 0.0))
+    size, noisy = np.linalg.norm(H, axis=1), (readings.size > 0) & ~readings.below
+    most = float(np.max(size[noisy] / readings.size[noisy], initial=0.0))
+    moved = np.where(moved > 0, moved, np.where(size > 0, size, 1.0) / (most if most > 0 else 1.0))
+    return np.where(exact, moved, np.where(readings.below, 1.0, readings.size))
+
+
 @dataclass(frozen=True, eq=False)
 class GainCost:
     """What gains cost: 0 <= residuals + start + w + v for the row 0; `fixed` is in units of no bound."""
@@ -90,9 +114,8 @@ class RecordProgram:
     def __init__(self, readings: Readings, table: GapTable | None = None):
         self.readings = readings
         lengths = np.diff(readings.times)
-        unit = np.where((readings.size > 0) & ~readings.below, readings.size, 1.0)
         if table is None:
-            H = np.where(readings.below[:, None], 0.0, readings.H / unit[:, None])
+            H = np.where(readings.below[:, None], 0.0, readings.H / _units(readings, lengths)[:, None])
             rows = np.split(H, readings.offsets[1:-1])[:-1]
             table = GapTable.suited(readings.A, readings.G, lengths, rows)
         self.table = table

@@ -29,3 +29,39 @@ def test_units_change_nothing_of_the_accuracy(name, seed):
         assert getattr(there, side) / units.states == pytest.approx(getattr(here, side), rel=1e-5)
     assert there.closed.tolist() == here.closed.tolist()
     assert there.verify()
+
+
+EXACT = list(product([0.0, 0.2], [True, False], [(0.0, 0.1), (0.1, 0.0), (0.0, 0.0)], range(2)))
+
+
+@pytest.mark.parametrize(("w_bound", "start", "noise", "seed"), few(EXACT, 2, 10, 20))
+def test_units_change_nothing_of_an_interval_from_exact_sensors(w_bound, start, noise, seed):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3)) * 0.7
+    plant = sd.Plant(A, rng.normal(size=(2, 3)), G=rng.normal(size=(3, 2)))
+    units = Units.drawn(np.random.default_rng(seed + 7), plant)
+    times, first = [0.5, 1.1, 1.6, 2.4], np.array([0.3, -0.4, 0.5])
+    readings = [plant.C @ plant.transition(t) @ first + 0.3 * np.array(noise) for t in times]
+    known = {"initial_error": np.array([1.0, 2.0, 1.5])} if start else {}
+    here = sd.state_interval(
+        plant,
+        [(t, y, None) for t, y in zip(times, readings, strict=True)],
+        2.7,
+        w_bound=[w_bound] * 2,
+        v_bound=noise,
+        prior_time=0.0,
+        **known,
+    )
+    there = sd.state_interval(
+        units.plant(plant),
+        [(t * units.time, y * units.outputs, None) for t, y in zip(times, readings, strict=True)],
+        2.7 * units.time,
+        w_bound=w_bound * units.disturbances,
+        v_bound=noise * units.outputs,
+        prior_time=0.0,
+        **{name: each * units.states for name, each in known.items()},
+    )
+    assert there.radii / units.states == pytest.approx(
+        here.radii, rel=2e-3, abs=1e-7
+    )  # 0 where exact samples leave nothing
+    assert here.holds(plant.transition(2.7) @ first)

@@ -20,7 +20,7 @@ from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.detectability import DetectabilityEvidence
 from sampling_design.nonlinear.experiment import HORIZON, paper_weights
-from sampling_design.nonlinear.patient_run import rmse
+from sampling_design.nonlinear.report import rmse
 from sampling_design.nonlinear.simulation import simulate
 
 HOUR = 1 / 24

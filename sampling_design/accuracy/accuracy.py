@@ -24,9 +24,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import Timing, TimingTolerance

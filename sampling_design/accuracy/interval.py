@@ -13,10 +13,9 @@ import numpy.typing as npt
 from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
-from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram
-from sampling_design.accuracy.record_readings import beginning, read_record
+from sampling_design.accuracy.record_readings import beginning, left_out, read_record
 from sampling_design.accuracy.undetectable import modes_with, unobservable_modes
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict

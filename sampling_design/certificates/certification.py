@@ -40,10 +40,9 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import ENDLESS, Budget
+from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.jitter import Jitter, Timing, TimingTolerance
@@ -360,11 +359,9 @@ def chosen(
     canon = canonical(plant, schedule, weights)
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
         followed(canon, 0.0 if eta is None else eta * canon.time)
-        if eta is None:
-            bounds = _bounds(plant, schedule, canon)
-        else:
+        if eta is not None:
             _require(plant, schedule, eta, canon)
-            bounds = (eta * canon.time, eta * canon.time)
+        bounds = _bounds(plant, schedule, canon) if eta is None else (eta * canon.time, eta * canon.time)
         plain, between = canon, bounds
         canon, bounds = search_units(plant, schedule, weights, bounds)
         problem, searching = (plant, schedule, weights), limit.share(SEARCHED)
@@ -403,10 +400,7 @@ def _without_gain(
 ) -> list[Certificate]:
     """What the plant's own decay proves without the noise gain that was asked for, which the certificate says.
 
-    Raises
-    ------
-    UndecidedError
-        The `error`, where it proves nothing.
+    Raises UndecidedError, the `error`, where it proves nothing.
     """
     own = -2 * float(np.max(np.linalg.eigvals(canon.plant.A).real))
     if not own > 0:

@@ -30,8 +30,8 @@ from sampling_design.estimators.online.estimator import EstimateCounts
 from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.estimators.records.measurement_table import time_or_date
+from sampling_design.records.budget import Progress
 from sampling_design.records.file_io import AtomicWriter
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 
 

@@ -18,9 +18,9 @@ from typer.models import OptionInfo
 
 from sampling_design.cli.version import show_version
 from sampling_design.errors import ArgumentError
+from sampling_design.records.budget import Progress, progress_bar
 from sampling_design.records.checks import positive, whole
 from sampling_design.records.file_io import AtomicWriter, json_pieces
-from sampling_design.records.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table

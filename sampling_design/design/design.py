@@ -12,8 +12,7 @@ from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, gap_bounded, quick_bound
 from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed, sigma_of_moved
-from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates
-from sampling_design.design.counts import rival_counts
+from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates, rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
 from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.design_problem import DesignProblem
@@ -34,9 +33,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
-from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 

@@ -19,9 +19,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails

@@ -20,10 +20,9 @@ from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleReq
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import ListRecord, PlainRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered

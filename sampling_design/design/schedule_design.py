@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.design.bounds.evidence import UpperBound
-from sampling_design.design.counts import rival_counts
+from sampling_design.design.count_problem import rival_counts
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
@@ -23,8 +23,8 @@ from sampling_design.observability.windows.window_sigma import deviations_of, wi
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
+from sampling_design.records.budget import Progress
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import ANSWERS, Plain, PlainRecord, counted, moment, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import TimingTolerance

@@ -25,8 +25,8 @@ from sampling_design.estimators.records.measurements import Measurements, cell_o
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Progress
 from sampling_design.records.file_io import AtomicWriter
-from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 
 PIECE = 1 << 20  # Characters that are written at a time

@@ -21,7 +21,7 @@ from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import AnySchedule

@@ -12,10 +12,9 @@ import numpy.typing as npt
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.as_written import problem_as_written
 from sampling_design.estimators.constraints.constraints import Constraints, WindowConstraints, narrowed
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.constraints.qp import solve_constrained
+from sampling_design.estimators.constraints.qp import problem_as_written, solve_constrained
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction
@@ -45,7 +44,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.schedules.jitter import Timing
 
 if TYPE_CHECKING:
-    from sampling_design.estimators.constraints.as_written import Problem
+    from sampling_design.estimators.constraints.qp import Problem
 
 
 CLOSED_FORM = ("banded", "square root")  # engines that say that no constraint was active

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sampling_design.accuracy.interval import Interval, state_interval
-from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import Arrived
+from sampling_design.accuracy.record_readings import left_out
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import TOGETHER
@@ -22,8 +22,8 @@ from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Progress
 from sampling_design.records.checks import freeze
-from sampling_design.records.progress import Progress
 
 UNSURE = "Every sample so far may be an outlier."
 

@@ -18,8 +18,7 @@ from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, SolverRun
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.patient_run import PatientRun
-from sampling_design.nonlinear.report import ThyroidReport
+from sampling_design.nonlinear.report import PatientRun, ThyroidReport
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask

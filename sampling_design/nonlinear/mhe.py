@@ -15,17 +15,16 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.schedule_watch import choose_horizon
-from sampling_design.nonlinear.collocation import Collocation, WindowSolver
+from sampling_design.nonlinear.collocation import Collocation, OutlierRejection, WindowSolver, beyond
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.open_loop import NonlinearLoop
-from sampling_design.nonlinear.outliers import OutlierRejection, beyond
 from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
-from sampling_design.nonlinear.window_records import WindowData, WindowSolution
+from sampling_design.nonlinear.window_forms import WindowData, WindowSolution
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from sampling_design.nonlinear.window_forms import LocalForms, WindowFunctions
-from sampling_design.nonlinear.window_records import ProgramPoint, WindowData, WindowSolution
+from sampling_design.nonlinear.window_forms import LocalForms, ProgramPoint, WindowData, WindowFunctions, WindowSolution
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import processor_seconds
 

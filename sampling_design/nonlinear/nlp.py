@@ -20,8 +20,14 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.newton import CondensedNewton
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_forms import LocalForms, WindowFunctions
-from sampling_design.nonlinear.window_records import ProgramPoint, WindowData, WindowSlopes, WindowSolution
+from sampling_design.nonlinear.window_forms import (
+    LocalForms,
+    ProgramPoint,
+    WindowData,
+    WindowFunctions,
+    WindowSlopes,
+    WindowSolution,
+)
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import processor_seconds
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_records import WindowData
+from sampling_design.nonlinear.window_forms import WindowData
 from sampling_design.nonlinear.window_search import WindowAnswer
 from sampling_design.nonlinear.window_spread import smoothed_covariances
 from sampling_design.records.arrays import Array

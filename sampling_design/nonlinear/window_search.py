@@ -12,7 +12,7 @@ from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_records import ProgramPoint, WindowData, WindowSlopes, WindowSolution
+from sampling_design.nonlinear.window_forms import ProgramPoint, WindowData, WindowSlopes, WindowSolution
 from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import processor_seconds

@@ -9,7 +9,7 @@ from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_records import WindowSlopes
+from sampling_design.nonlinear.window_forms import WindowSlopes
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records.arrays import Array
 

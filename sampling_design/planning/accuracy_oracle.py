@@ -16,7 +16,7 @@ from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedMod
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
-from sampling_design.planning.work_prices import EXCESS
+from sampling_design.planning.search_progress import EXCESS
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 

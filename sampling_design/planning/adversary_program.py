@@ -18,7 +18,7 @@ from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
 from sampling_design.planning.discrete_plant import DiscretePlant
-from sampling_design.planning.work_prices import CONE, STAGES
+from sampling_design.planning.search_progress import CONE, STAGES
 from sampling_design.records.arrays import Array, Index, Mask
 
 TOLERANCE = 1e-7  # asked of the solver: trajectories are scaled until they are admissible, so it only costs strength

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.figures import LOST, PlanFigures
 from sampling_design.planning.problem import RowGoal
-from sampling_design.planning.robustness import LOST
 from sampling_design.records.declarations import Column
 from sampling_design.records.record import ListRecord, Plain, short
 from sampling_design.records.units import spoken, time_factor

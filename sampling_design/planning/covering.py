@@ -18,7 +18,7 @@ from scipy import sparse
 
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work_prices import COVER, NODE, RELAXED
+from sampling_design.planning.search_progress import COVER, NODE, RELAXED
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.disturbed import plan_start
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence import gap_ratios, longest_out, proven_ratio, settling_time
 from sampling_design.planning.sequence_deviation import (
@@ -25,7 +26,6 @@ from sampling_design.planning.sequence_deviation import (
     sequence_from_start,
     too_soon,
 )
-from sampling_design.planning.start import plan_start
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.record import ListRecord, PlainRecord, counted, short

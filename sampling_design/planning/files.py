@@ -30,12 +30,11 @@ from sampling_design.checkers.strict import (
 )
 from sampling_design.planning.discrete_plant import DiscretePlant, discretize
 from sampling_design.planning.evidence import CostProof, CostTree, PlanBound, trajectory_of
-from sampling_design.planning.figures import LEFT_OUT, PlanStart
+from sampling_design.planning.figures import LEFT_OUT, PlanRobustness, PlanStart
 from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
-from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.functional import is_about
 from sampling_design.records.checks import freeze

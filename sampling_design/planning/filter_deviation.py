@@ -16,7 +16,7 @@ from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem, RowGoal
-from sampling_design.planning.work_prices import FILTER
+from sampling_design.planning.search_progress import FILTER
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sampling_design.planning.covering import CoveringRows, Key
 from sampling_design.planning.evidence import CostProof, CostTree, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
-from sampling_design.planning.work_prices import MEETING
+from sampling_design.planning.search_progress import MEETING
 from sampling_design.records.arrays import Index, Mask
 from sampling_design.records.budget import Budget
 

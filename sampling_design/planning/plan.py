@@ -20,10 +20,9 @@ from sampling_design.errors import (
 )
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import CostProver
-from sampling_design.planning.coarser_grid import coarser, lifted_choices, lifted_trajectories
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import discretize, finer_grid, modes_of
-from sampling_design.planning.disturbed import plan_robustness
+from sampling_design.planning.disturbed import plan_robustness, plan_start
 from sampling_design.planning.evidence import EASED, CostProof, PlanBound, gathered
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, limit_of, without_limits
@@ -32,7 +31,10 @@ from sampling_design.planning.proven_choice import (
     FeasibleChoices,
     GoalProofs,
     ProvenChoice,
+    coarser,
     densest,
+    lifted_choices,
+    lifted_trajectories,
     plan_of,
     ratios_of,
     sparse,
@@ -40,14 +42,11 @@ from sampling_design.planning.proven_choice import (
 )
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
-from sampling_design.planning.search_progress import AFTERWARDS, PlanProgress
-from sampling_design.planning.start import plan_start
-from sampling_design.planning.work_prices import AFTER, CERTIFIED, GAINS
+from sampling_design.planning.search_progress import AFTER, AFTERWARDS, CERTIFIED, GAINS, PlanProgress
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.budget import Budget, BudgetSpentError
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, BudgetSpentError, Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken

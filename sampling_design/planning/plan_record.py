@@ -16,13 +16,12 @@ from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.discrete_plant import discretize
-from sampling_design.planning.disturbed import robustness_holds
+from sampling_design.planning.disturbed import robustness_holds, start_holds
 from sampling_design.planning.evidence import bound_holds, broken_below, proof_to_dict, trajectory_to_dict
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.sampling_sheet import write_form, write_sheet
-from sampling_design.planning.start import start_holds
 from sampling_design.plants.files import write_plant
 from sampling_design.plants.functional import FunctionalPlant, is_about
 from sampling_design.records.arrays import Array, Mask

@@ -17,8 +17,7 @@ from sampling_design.planning.evidence import EASED
 from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajectories, HiddenTrajectory, weighed
 from sampling_design.planning.hitting_set import HittingSet, smallest_hitting_set
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.search_progress import PlanProgress
-from sampling_design.planning.work_prices import WEIGHED
+from sampling_design.planning.search_progress import WEIGHED, PlanProgress
 from sampling_design.records.arrays import Array, Mask
 
 GRID = 120  # steps at which a weakly observable trajectory is kept small, about

@@ -21,6 +21,7 @@ from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
+from sampling_design.planning.search_progress import BETWEEN, GAINS, STARTED, SYSTEM
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
     SampleSequence,
@@ -31,7 +32,6 @@ from sampling_design.planning.sequence_deviation import (
 )
 from sampling_design.planning.sequence_system import plan_system, sequence_system
 from sampling_design.planning.transient_bound import cut_gains, nodes_out, out_at, settled_factors, wider_by
-from sampling_design.planning.work_prices import BETWEEN, GAINS, STARTED, SYSTEM
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.jitter import ON_TIME
 

@@ -18,7 +18,7 @@ from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, own
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
-from sampling_design.planning.work_prices import SEQUENCE
+from sampling_design.planning.search_progress import SEQUENCE
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance, shift_of
 from sampling_design.schedules.opening import PlanClock

@@ -14,10 +14,10 @@ from sampling_design.accuracy.readings import CensoredReading, PartialReading, r
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDeadline
+from sampling_design.planning.disturbed import from_start, settled_from_start
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import known_at, looks_back, time_out
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
-from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget

@@ -394,7 +394,7 @@ class Plant(Record):
             raise MissingExtraError("python-control", "control") from None
 
         both = not self.n_inputs if disturbances is None else disturbances
-        B, D = driven(self, both)
+        B, D = driven(self.B, self.D, self.G, both)
         if not B.shape[1]:
             raise ArgumentError("`control` has no system without inputs: this plant has neither B nor G to drive it.")
         names = list(self.inputs.names)

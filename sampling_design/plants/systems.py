@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Protocol, cast
 
 import numpy as np
@@ -38,32 +38,6 @@ class StateSpace(Protocol):
     D: npt.ArrayLike
 
 
-class Ratio(Protocol):
-    """A transfer function of another library: polynomials, or rows of them."""
-
-    num: Sequence[Sequence[npt.ArrayLike]] | Array
-    den: Sequence[Sequence[npt.ArrayLike]] | Array
-
-
-class Driven(Protocol):
-    """A plant with its matrices."""
-
-    @property
-    def A(self) -> Array: ...
-
-    @property
-    def B(self) -> Array: ...
-
-    @property
-    def C(self) -> Array: ...
-
-    @property
-    def D(self) -> Array: ...
-
-    @property
-    def G(self) -> Array: ...
-
-
 def is_system(value: object) -> bool:
     """Whether it is a linear system of `control` or `scipy.signal`, in any form."""
     return type(value).__module__.partition(".")[0] in LIBRARIES and hasattr(value, "dt")
@@ -78,7 +52,7 @@ def parts_of(system: object) -> dict[str, object]:
     check_system(system)
     if all(hasattr(system, key) for key in "ABCD"):
         plant = getattr(system, CARRIED, None)
-        if plant is not None and _same(cast("StateSpace", system), plant):
+        if plant is not None and _same(cast("StateSpace", system), plant, plant.G):
             return {key: getattr(plant, key) for key in PARTS}
         parts: dict[str, object] = {key: getattr(system, key) for key in "ACBD"}
     else:
@@ -104,18 +78,16 @@ def _given(system: object, kind: str) -> list[str]:
     return [] if all(AUTOMATIC.match(label) for label in labels) else labels
 
 
-def driven(plant: Driven, disturbances: bool) -> tuple[Array, Array]:
+def driven(B: Array, D: Array, G: Array, disturbances: bool) -> tuple[Array, Array]:
     """B and D of a plant as another library has it, with its disturbances after its inputs where they are asked for."""
-    if not disturbances:
-        return plant.B, plant.D
-    return np.hstack([plant.B, plant.G]), np.hstack([plant.D, np.zeros((len(plant.D), plant.G.shape[1]))])
+    return (np.hstack([B, G]), np.hstack([D, np.zeros((len(D), G.shape[1]))])) if disturbances else (B, D)
 
 
-def _same(system: StateSpace, plant: Driven) -> bool:
+def _same(system: StateSpace, plant: StateSpace, G: Array) -> bool:
     """Whether a system is still the one that was made of a plant, in whichever of its two forms."""
     if not np.array_equal(system.A, plant.A) or not np.array_equal(system.C, plant.C):
         return False
-    forms = [driven(plant, form) for form in (False, True)]
+    forms = [driven(np.asarray(plant.B), np.asarray(plant.D), G, form) for form in (False, True)]
     return any(np.array_equal(system.B, B) and np.array_equal(system.D, D) for B, D in forms)
 
 
@@ -194,11 +166,12 @@ def continuous(parts: Mapping[str, object], dt: float) -> dict[str, object]:
 
 def _polynomials(system: object) -> tuple[list[list[Array]], list[list[Array]]]:
     """Numerators and denominators of a transfer function, a row for each output."""
-    made = cast("Ratio", system if hasattr(system, "num") else system.to_tf())  # type: ignore[attr-defined]
-    if isinstance(made.num, np.ndarray) and made.num.dtype != object:  # of scipy: one input, one denominator
-        rows = np.atleast_2d(made.num)
-        return [[np.asarray(row)] for row in rows], [[np.asarray(made.den)]] * len(rows)
-    num, den = ([[np.asarray(entry) for entry in row] for row in given] for given in (made.num, made.den))
+    made = system if hasattr(system, "num") else system.to_tf()  # type: ignore[attr-defined]
+    above, below = (getattr(made, key) for key in ("num", "den"))
+    if isinstance(above, np.ndarray) and above.dtype != object:  # of scipy: one input, one denominator
+        rows = np.atleast_2d(above)
+        return [[np.asarray(row)] for row in rows], [[np.asarray(below)]] * len(rows)
+    num, den = ([[np.asarray(entry) for entry in row] for row in given] for given in (above, below))
     return num, den
 
 

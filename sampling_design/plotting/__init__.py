@@ -16,9 +16,9 @@ from sampling_design.records.dispatch import register
 
 # record -> (file of this room, function), also for what is derived from it; one without a picture is not listed
 _PICTURES = {
-    "Schedule": ("schedules", "draw_schedule"),
-    "PeriodicSchedule": ("schedules", "draw_schedule"),
-    "SamplingFamily": ("schedules", "draw_family"),
+    "Schedule": ("designs", "draw_schedule"),
+    "PeriodicSchedule": ("designs", "draw_schedule"),
+    "SamplingFamily": ("designs", "draw_family"),
     "WindowSigma": ("designs", "draw_window_sigma"),
     "ScheduleDesign": ("designs", "draw_design"),
     "Plan": ("plans", "draw_plan"),

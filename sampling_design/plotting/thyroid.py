@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sampling_design.errors import ArgumentError
-from sampling_design.nonlinear.patient_run import PatientFigure, PatientRun
+from sampling_design.nonlinear.report import PatientFigure, PatientRun
 from sampling_design.nonlinear.thyroid import SCALING
 from sampling_design.plotting import style
 

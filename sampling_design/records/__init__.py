@@ -2,5 +2,5 @@
 
 from sampling_design.records.lazy import lazy
 
-_NAMES = {"progress": ("progress_bar",), "sweeps": ("Sweep", "sweep")}
+_NAMES = {"budget": ("progress_bar",), "sweeps": ("Sweep", "sweep")}
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -14,8 +14,8 @@ from typing import Generic, Protocol, TypedDict, TypeVar, runtime_checkable
 from sampling_design.checkers.strict import a_table, is_text, or_nothing, refuse, table, text
 from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
 from sampling_design.records import checks, file_io
+from sampling_design.records.budget import Progress
 from sampling_design.records.file_io import from_json, to_json
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, PlainRecord
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered

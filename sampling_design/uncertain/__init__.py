@@ -21,7 +21,7 @@ _BOX, _VARYING = f"{__name__}.plants.uncertain_plant.UncertainPlant", f"{__name_
 _REGISTERED = {
     ("zero_count_bound", _BOX): "observability.zero_count_over_box:zero_count_over_box",
     ("window_sigma", _BOX): "observability.window_sigma_over_box:window_sigma_over_box",
-    ("window_sigma", _VARYING): "observability.window_sigma_varying:window_sigma_varying",
+    ("window_sigma", _VARYING): "observability.bracket_varying:window_sigma_varying",
     ("worst_case_sigma", _BOX): "observability.worst_case_over_box:worst_case_over_box",
     ("certificate_exists", _BOX): "existence.existence_over_box:existence_over_box",
     ("guaranteed_accuracy", _BOX): "accuracy.accuracy_over_box:accuracy_over_box",

@@ -22,9 +22,9 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
-from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.records.sweeps import Journal, digest
 from sampling_design.records.workers import Workers, check_workers

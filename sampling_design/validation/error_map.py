@@ -9,23 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import discounted_length
+from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
-
-
-class LinearEstimator(Protocol):
-    """An estimator, as far as its errors depend on it; `arrival_cost` is "fixed" where it names none."""
-
-    weights: CostWeights
 
 
 class SampleUpdate(NamedTuple):
@@ -154,7 +148,7 @@ class ErrorMap:
         return np.where(errors.radius > 0, ratio, np.where(square > 0, np.inf, 0.0))
 
 
-def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: ScenarioBounds) -> ErrorMap:
+def build_error_map(timeline: Timeline, estimator: OnlineEstimator, bounds: ScenarioBounds) -> ErrorMap:
     """Return the error map of an estimator that names its `weights` (prior, w, y, eta), and `arrival_cost`.
 
     Parameters
@@ -162,7 +156,8 @@ def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: Scen
     timeline : Timeline
         Built with the estimator's horizon.
     estimator : MovingHorizonEstimator
-        Or anything with the same weights. A cost "paper" means windows closed at their start.
+        Or another with such weights; `arrival_cost` is "fixed" where it names none. A cost "paper" means windows
+        closed at their start.
     bounds : Bounds
         For the radii.
     """
@@ -193,7 +188,7 @@ class _ErrorMapBuilder:
 
     def __init__(
         self,
-        estimator: LinearEstimator,
+        estimator: OnlineEstimator,
         line: Timeline,
         F: Array,
         W: Array,

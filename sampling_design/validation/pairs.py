@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
@@ -12,25 +10,10 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
+from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.timeline import Timeline
 
 MOST_STARTS = 80  # window starts that are tried; they are spread evenly over the break points where there are more
-
-
-class TrajectoryPairs(NamedTuple):
-    """Differences of r pairs from one start: chi (r, n), w (r, T, q) and v (r, N, p) along the whole timeline."""
-
-    chi: Array
-    w: Array
-    v: Array
-
-
-class WorstRatio(NamedTuple):
-    """The largest ratio of the two sides of (16), the start and the time where it was found."""
-
-    ratio: float
-    start: float
-    time: float
 
 
 def _pair_end(line: Timeline, start: int, span: float) -> int:
@@ -38,13 +21,16 @@ def _pair_end(line: Timeline, start: int, span: float) -> int:
     return int(np.searchsorted(line.times, line.times[start] + span, side="right")) - 1
 
 
-def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int, pairs: TrajectoryPairs) -> WorstRatio:
+def sides(
+    line: Timeline, certificate: SampledCertificate, start: int, stop: int, pairs: ErrorSources
+) -> tuple[float, float]:
     """Simulate pairs from break point `start` to `stop`; return the largest |Dx|^2_P1 over the right side of (16).
 
-    The right side counts samples in (start, t]; before and after each sample is looked at.
+    Returns that ratio and its time. `pairs` are differences e0, w and v of r pairs from one start, along the whole
+    timeline. The right side counts samples in (start, t]; before and after each sample is looked at.
     """
     root, eta = np.linalg.cholesky(certificate.P1).T, certificate.eta
-    x = pairs.chi
+    x = pairs.e0
     total = np.einsum("ri,ij,rj->r", x, certificate.P2, x)
     samples = {int(b): j for j, b in enumerate(line.samples)}
     best = (0.0, start)
@@ -62,11 +48,13 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
             total = total + np.einsum("ri,ij,rj->r", y, marginal(certificate.R, measured), y)
             total = total + np.einsum("ri,ij,rj->r", v, marginal(certificate.Qv, measured), v)
             best = max(best, (float(np.max(left / total)), c + 1))
-    return WorstRatio(best[0], float(line.times[start]), float(line.times[best[1]]))
+    return best[0], float(line.times[best[1]])
 
 
-def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> WorstRatio:
+def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> tuple[float, float, float]:
     """Return how near the worst pair comes to equality in (16), over starts, times and w constant on cells.
+
+    Returns the ratio of both sides, the start and the time.
 
     Least right side that leads to Dx(t) = xi is xi'Y^-1 xi; the pair that reaches it is found by going back from the
     worst xi, and then simulated like any other.
@@ -81,7 +69,8 @@ def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> 
         best = max(best, (float(tops[at]), int(start), int(start) + at))
     _, start, stop = best
     stop = max(stop, start + 1)
-    return sides(line, certificate, start, stop, _backward(line, certificate, start, stop))
+    ratio, time = sides(line, certificate, start, stop, _backward(line, certificate, start, stop))
+    return ratio, float(line.times[start]), time
 
 
 def _cell_noise(line: Timeline, certificate: SampledCertificate, c: int) -> tuple[Array, Array]:
@@ -108,7 +97,7 @@ def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: 
     return before, later
 
 
-def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> TrajectoryPairs:
+def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> ErrorSources:
     """The pair of least right side that ends, just before `stop`'s sample, in the worst direction."""
     (before, later), plant = _forward(line, certificate, start, stop), line.plant
     root = np.linalg.cholesky(certificate.P1).T
@@ -127,4 +116,4 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
         dual = np.linalg.solve(before[c + 1 - start], x)
         w[0, c] = unit @ gamma.T @ dual
         x = np.exp(certificate.eta * line.lengths[c]) * later[c - start] @ line.F[c].T @ dual
-    return TrajectoryPairs(x[None], w, v)
+    return ErrorSources(x[None], w, v)

@@ -16,9 +16,8 @@ from sampling_design.observability.windows.window_sigma import deviations_of
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.declarations import plain
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken

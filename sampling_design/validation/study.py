@@ -15,8 +15,8 @@ from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Progress
 from sampling_design.records.evidence import Strength
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import moment, short
 from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers
@@ -186,9 +186,9 @@ class ValidationStudy:
             return
         span = 3 * max(self.horizon, float(np.max(np.diff(self.line.times[self.line.samples]), initial=0.0)))
         source = "Assumption 7, equation (16)"
-        look = worst_pair(self.line, self._certified, span)
-        where = f"at {moment(look.time)} from {moment(look.start)}"
-        self._find("inequality (16)", "worst pair", 1.0, look.ratio, source=source, strength="attained", note=where)
+        largest, start, time = worst_pair(self.line, self._certified, span)
+        where = f"at {moment(time)} from {moment(start)}"
+        self._find("inequality (16)", "worst pair", 1.0, largest, source=source, strength="attained", note=where)
 
     def _random(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         trials = monte_carlo(
@@ -203,10 +203,10 @@ class ValidationStudy:
         self._judge("worst disturbance", measured(self.map, self.promise, self.measure, worst), "attained")
 
     def _worst_energy(self, found: ErrorMap, promise: Promise, scenario: str = "worst energy") -> None:
-        worst = worst_energy(found, promise)
-        again = measured(found, promise, promise.root, worst.inputs)
-        note = f"worst at {moment(found.rows.times[worst.row])}; run forward: {short(again.promised[0])}"
-        observed = max(worst.ratio, float(again.promised[0]))
+        largest, row, inputs = worst_energy(found, promise)
+        again = measured(found, promise, promise.root, inputs)
+        note = f"worst at {moment(found.rows.times[row])}; run forward: {short(again.promised[0])}"
+        observed = max(largest, float(again.promised[0]))
         self._find("a-priori bound", scenario, 1.0, observed, source=promise.theorem, strength="attained", note=note)
 
     def _resonant(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -138,16 +137,8 @@ def _through_window(found: ErrorMap, window: SolveWindow, functional: Array, res
     return functional
 
 
-class WorstEnergy(NamedTuple):
-    """The largest |e|^2_P1 that a promised unit allows, the row where it is reached, and inputs that reach it."""
-
-    ratio: float
-    row: int
-    inputs: ErrorSources
-
-
-def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
-    """Return the worst ratio of |e|^2 to what is promised, over all e0, v and w constant on cells.
+def worst_energy(found: ErrorMap, promise: Promise) -> tuple[float, int, ErrorSources]:
+    """Return the worst ratio of |e|^2 to what is promised, over all e0, v and w constant on cells; its row and inputs.
 
         max e'P e / (|e0|^2 + int |w|^2 + sum |v|^2, each discounted)  =  lambda_max(P^1/2 (sum E D^-1 E') P^1/2)
 
@@ -167,7 +158,7 @@ def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
     e0, w, v = (
         D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _promise_terms(found, promise, row, parts)
     )
-    return WorstEnergy(ratio, row, ErrorSources(*(part[None, ..., 0] for part in (e0, w, v))))
+    return ratio, row, ErrorSources(*(part[None, ..., 0] for part in (e0, w, v)))
 
 
 def _promise_terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:

@@ -21,7 +21,7 @@ from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, P
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.record_readings import read_record
-from sampling_design.estimators.constraints.as_written import problem_as_written
+from sampling_design.estimators.constraints.qp import problem_as_written
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.window.smoother import information_band, solve_banded, solve_square_root
 from sampling_design.estimators.window.window_problem import EstimationWindow

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from sampling_design.errors import MissingExtraError, SolverError
-from sampling_design.estimators.constraints import as_written, least_distance
+from sampling_design.estimators.constraints import least_distance, qp
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.conic_programs import ConeSolver
@@ -73,7 +73,7 @@ def test_unrefined_steps_find_the_same_point_and_what_they_do_not_solve_is_solve
 def test_the_modelling_library_is_an_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     with pytest.raises(MissingExtraError, match="modelling"):
-        as_written.cvxpy()
+        qp.cvxpy()
 
 
 def test_a_problem_without_a_point_is_an_error_that_carries_the_status():

@@ -123,7 +123,7 @@ def test_a_plant_and_a_schedule_never_meet_below_observability():
     ("library", "door"),
     [
         ("matplotlib", {"plotting"}),
-        ("cvxpy", {"estimators/constraints/as_written.py"}),
+        ("cvxpy", {"estimators/constraints/qp.py"}),
         ("typer", {"cli"}),
         ("flint", {"numerics/balls.py"}),
         ("pandas", {"records/record.py"}),

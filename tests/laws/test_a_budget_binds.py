@@ -16,7 +16,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.cli import app
 from sampling_design.errors import FileFormatError
-from sampling_design.planning.work_prices import AFTER
+from sampling_design.planning.search_progress import AFTER
 from sampling_design.records.budget import Budget
 from tests import command_lines
 from tests.counted_clock import Counted

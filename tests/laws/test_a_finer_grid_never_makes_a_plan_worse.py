@@ -5,9 +5,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import plan as room
-from sampling_design.planning.coarser_grid import coarser, lifted_trajectories
 from sampling_design.planning.evidence import resimulated
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import coarser, lifted_trajectories
 from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False, "start": False}
@@ -27,7 +27,7 @@ REFINED = [
 @pytest.fixture
 def looked_at(monkeypatch):
     """Grids of a few steps have coarser ones that are looked at first, as those of many have."""
-    monkeypatch.setattr("sampling_design.planning.coarser_grid.COARSE", 8)
+    monkeypatch.setattr("sampling_design.planning.proven_choice.COARSE", 8)
 
 
 @pytest.mark.usefixtures("looked_at")

@@ -9,11 +9,11 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.disturbed import from_start, plan_start
 from sampling_design.planning.figures import PlanStart
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.sequence import looks_back
 from sampling_design.planning.sequence_deviation import planned
-from sampling_design.planning.start import from_start, plan_start
 from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False}

@@ -8,8 +8,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import CostProver
-from sampling_design.planning.cost_proof import CostProof, CostTree, proven_cost
 from sampling_design.planning.covering import CoveringProgram, CoveringRows, cheapest, relaxed
+from sampling_design.planning.evidence import CostProof, CostTree, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
 from sampling_design.planning.problem import pose_plan
 from sampling_design.records.budget import Budget

@@ -9,7 +9,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.nonlinear import experiment
 from sampling_design.nonlinear.experiment import CASES, paper_weights, patient_run, thyroid_experiment
 from sampling_design.nonlinear.mhe import SolverRun
-from sampling_design.nonlinear.patient_run import PatientRun, rmse
+from sampling_design.nonlinear.report import PatientRun, rmse
 from sampling_design.nonlinear.thyroid import NOISE_BOUND, PRIOR_START, SCALING, TRUE_START, thyroid
 
 

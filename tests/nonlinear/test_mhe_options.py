@@ -10,11 +10,10 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
-from sampling_design.nonlinear.collocation import Collocation, WindowSolver
+from sampling_design.nonlinear.collocation import Collocation, OutlierRejection, WindowSolver
 from sampling_design.nonlinear.examples import stirred_reactor
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant, from_linear
-from sampling_design.nonlinear.outliers import OutlierRejection
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.weights import ScaleWarning
 from tests.cases import few

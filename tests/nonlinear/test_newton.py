@@ -8,12 +8,11 @@ import pytest
 
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.nonlinear import newton, window_search
-from sampling_design.nonlinear.collocation import Collocation, WindowSolver
+from sampling_design.nonlinear.collocation import Collocation, OutlierRejection, WindowSolver
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram
-from sampling_design.nonlinear.outliers import OutlierRejection
-from sampling_design.nonlinear.window_records import WindowData
+from sampling_design.nonlinear.window_forms import WindowData
 from sampling_design.plants.plant import Signals
 from tests.cases import few
 from tests.nonlinear.test_mhe import PENDULUM, PRIOR, SIZES, estimator, position, record, swing

@@ -5,7 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.observability.worst_case import worst_case_sigma as module
-from sampling_design.observability.worst_case.periodicity import exact_period, within_periods
+from sampling_design.observability.worst_case.spaced_rows import exact_period, within_periods
 
 C = [[1.0, 0.0], [0.3, 0.5]]
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], C)

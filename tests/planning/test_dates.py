@@ -12,9 +12,9 @@ from sampling_design.cli.validate import compare
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.figures import PlanRobustness
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
-from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sampling_sheet import write_form, write_sheet
 from tests.cases import few
 

@@ -8,14 +8,13 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.planning import sequence, sequence_system
-from sampling_design.planning.disturbed import without
+from sampling_design.planning.disturbed import plan_start, without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.figures import accuracy_of
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.sequence import proven_ratio
-from sampling_design.planning.start import plan_start
 from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.accuracy.test_timing import apart_from_rest
 

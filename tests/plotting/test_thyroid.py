@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sampling_design.errors import ArgumentError
-from sampling_design.nonlinear.patient_run import PatientRun
+from sampling_design.nonlinear.report import PatientRun
 from sampling_design.nonlinear.thyroid import SCALING
 from sampling_design.plotting import style
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, errors
-from sampling_design.estimators.constraints import as_written
+from sampling_design.estimators.constraints import qp
 
 
 @pytest.mark.parametrize(
     ("module", "extra", "ask"),
-    [("control", "control", Plant([[0.0]], [[1.0]]).to_control), ("cvxpy", "modelling", as_written.cvxpy)],
+    [("control", "control", Plant([[0.0]], [[1.0]]).to_control), ("cvxpy", "modelling", qp.cvxpy)],
 )
 def test_a_library_that_is_not_installed_names_its_extra(module, extra, ask, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 import sampling_design as sd
-from sampling_design.records import progress
+from sampling_design.records import budget
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -15,7 +15,7 @@ def test_a_bar_is_drawn_in_a_terminal_only(terminal, monkeypatch):
     console = Console(file=written, force_terminal=terminal, width=100)
     monkeypatch.setattr("rich.console.Console", lambda **_: console)
     told = []
-    with progress.progress_bar("design") as bar:
+    with budget.progress_bar("design") as bar:
         sd.design_schedule(
             sd.named_plant("oscillator"),
             starts=1,

@@ -22,8 +22,7 @@ from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily, period_of

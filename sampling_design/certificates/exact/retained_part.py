@@ -32,8 +32,7 @@ from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.schedules.family import AnySchedule
 
 RATES = 7  # rates that are tried where none is given, evenly on a logarithmic scale

@@ -22,8 +22,7 @@ from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import ENDLESS, Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.schedules.family import AnySchedule
 
 ETA_RANGE = (0.05, 3.0)  # rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)

@@ -34,9 +34,8 @@ from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import ENDLESS, Budget
+from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily

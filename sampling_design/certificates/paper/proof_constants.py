@@ -18,11 +18,11 @@ from sampling_design.certificates.paper.gain_sweep import best_gain
 from sampling_design.certificates.paper.observable_case import (
     ProvenWeights,
     SamplingHypotheses,
+    measure_hypotheses,
     paper_weights,
     tightened_weights,
     within_range,
 )
-from sampling_design.certificates.paper.sampling_hypotheses import measure_hypotheses
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations

@@ -21,7 +21,6 @@ Geman and Geman 1984.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -96,14 +95,6 @@ def places(problem: DesignProblem, found: Relaxation) -> Array:
     return np.unique(wanted[problem.mask(wanted).any(axis=-1)])
 
 
-class _Judged(NamedTuple):
-    """Places by their numbers: the soft least of their windows, below that of the best one, and the least of them."""
-
-    free: Index
-    soft: Array
-    least: Array
-
-
 class HeatBath:
     """Schedules whose samples are drawn anew one by one over some `places`; `unit` is the sigma^2 that is hoped for."""
 
@@ -156,15 +147,15 @@ class HeatBath:
         away = np.abs((self.places[:, None] - others + period / 2) % period - period / 2)
         return np.asarray(away >= self.problem.gap)
 
-    def judged(self, others: Array, early: Array, late: Array, room: Mask) -> _Judged:
-        """The places that are free beside the `others`, and what their windows would see then."""
+    def judged(self, others: Array, early: Array, late: Array, room: Mask) -> tuple[Index, Array, Array]:
+        """Places free beside the `others`; the soft least of their windows, less that of the best; their least."""
         free = np.flatnonzero(room.all(axis=1))
         if not free.size:
-            return _Judged(free, np.zeros(0), np.zeros(0))
+            return free, np.zeros(0), np.zeros(0)
         eigenvalues = self.least_eigenvalues(others, early, late)[free] / self.unit
         least = eigenvalues.min(axis=1)
         soft = least - np.log(np.exp(-_SHARPNESS * (eigenvalues - least[:, None])).sum(axis=1)) / _SHARPNESS
-        return _Judged(free, soft - soft.max(), least)
+        return free, soft - soft.max(), least
 
     def run(self, times: Array, rng: np.random.Generator, steps: int, budget: Budget = ENDLESS) -> list[Valued]:
         """The best few schedules of a number of steps from `times`, the best first, with about their sigma^2."""
@@ -172,7 +163,8 @@ class HeatBath:
         known = np.concatenate([times, self.places])  # what a schedule is chosen from, by its number
         early, late = (np.concatenate(pair) for pair in zip(self.rows(times), (self.early, self.late), strict=True))
         room, chosen = self.room(known), np.arange(times.size)
-        judged: dict[bytes, _Judged] = {}  # cooled down, the same sample goes out of the same schedule again and again
+        # cooled down, the same sample goes out of the same schedule again and again
+        judged: dict[bytes, tuple[Index, Array, Array]] = {}
         for step in range(steps):
             if budget.over:
                 break

@@ -6,7 +6,6 @@ import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +23,6 @@ CACHE_SIZE = 4096
 """Gap lengths that are kept; a few kilobytes each, so that memory stays flat on endless irregular data."""
 
 LONGEST = 700.0  # exponents from here on count as overflows: e^709 is the largest double
-
-
-class ArrivalInformation(NamedTuple):
-    """What a prior before a gap is worth after it: information, and its lower band as that of a node without others."""
-
-    information: Array
-    band: Array
 
 
 COVARIANCE_ERROR = 2e-14
@@ -77,7 +69,7 @@ class GapFlow:
         self._roots = roots
         self._band: Array | None = None
         self._size: Array | None = None
-        self._arrival: tuple[Array, ArrivalInformation | None] | None = None
+        self._arrival: tuple[Array, tuple[Array, Array] | None] | None = None
         self._both: tuple[Array | None, float] | None = None if roots is None else (None, 0.0)
 
     @property
@@ -131,12 +123,12 @@ class GapFlow:
         """Take what was found of many gaps at once."""
         self._both, self._band = (joint, loose), band
 
-    def arrived(self, Y: Array, found: ArrivalInformation) -> None:
+    def arrived(self, Y: Array, found: tuple[Array, Array]) -> None:
         """Take what a prior was found to be worth."""
         self._arrival = Y, found
 
-    def arrival_information(self, Y: Array) -> ArrivalInformation | None:
-        """Return what a prior of covariance Y is worth after the gap, the inverse of growth F Y F' + W.
+    def arrival_information(self, Y: Array) -> tuple[Array, Array] | None:
+        """Return what a prior of covariance Y is worth after the gap: (growth F Y F' + W)^-1 and its lower band.
 
         None where that would lose digits. What was asked for last is kept.
         """
@@ -349,7 +341,7 @@ def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
     information = half.transpose(0, 2, 1) @ half
     bands = _bands(information, len(Y))
     for k in np.flatnonzero(fit & np.isfinite(information).all(axis=(1, 2))).tolist():
-        flows[k].arrived(Y, ArrivalInformation(information[k], bands[k, 0]))
+        flows[k].arrived(Y, (information[k], bands[k, 0]))
 
 
 def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
@@ -365,11 +357,11 @@ def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
     return joint, COVARIANCE_ERROR * condition
 
 
-def _information_of(M: Array) -> ArrivalInformation | None:
+def _information_of(M: Array) -> tuple[Array, Array] | None:
     """Return the inverse of a covariance, in both forms."""
     found = _half(M)
     if found is None:
         return None
     half = found[0]
     information = half.T.dot(half)
-    return ArrivalInformation(information, lower_band(information, len(M))[0])
+    return information, lower_band(information, len(M))[0]

@@ -24,8 +24,8 @@ from sampling_design.estimators.records.measurements import Measurements, read_m
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Progress
 from sampling_design.records.checks import freeze
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import Displayable
 from sampling_design.records.signatures import checked_methods
 

@@ -26,18 +26,8 @@ class DataFrame(Protocol):
 
 
 @runtime_checkable
-class _Index(Protocol):
-    """What is asked of the index of a pandas frame."""
-
-    name: object
-    nlevels: int
-
-    def __len__(self) -> int: ...
-
-
-@runtime_checkable
 class _PandasFrame(DataFrame, Protocol):
-    index: _Index
+    index: object
 
     def rename_axis(self, mapper: str) -> _PandasFrame: ...
     def reset_index(self) -> _PandasFrame: ...
@@ -130,14 +120,15 @@ def _lines(text: str) -> Iterator[str]:
             pending = ""
 
 
-def _stamp_of(index: _Index, alone: bool) -> str:
+def _stamp_of(index: object, alone: bool) -> str:
     """What a file calls the index of a frame, "" where it says no times; `alone`: nor does another column."""
-    kind, name = _kind(index), str(index.name).lower()
+    kind, named = _kind(index), getattr(index, "name", None)
+    name = str(named).lower()
     if kind == "M" or name in (*STAMPS, "t"):
         return "date" if kind == "M" or name == "date" else "time"
-    if index.name is not None or index.nlevels > 1 or kind not in "iuf" or not alone:
+    if named is not None or getattr(index, "nlevels", 1) > 1 or kind not in "iuf" or not alone:
         return ""
-    if np.array_equal(np.asarray(index), np.arange(len(index))):
+    if np.array_equal(np.asarray(index), np.arange(np.asarray(index).size)):
         raise FileFormatError(
             "the frame: has no column `time` or `date`, and its index counts the rows. Add the column, or take the "
             "times for the index.",

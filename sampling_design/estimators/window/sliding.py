@@ -344,11 +344,12 @@ class SlidingBand:
         arrival = flow.arrival_information(Y)
         if arrival is None:
             return None
+        information, band = arrival
         count = len(known)
         rows = slice(first, count)
         right = self._pull[rows] + self._pull_before[rows]
         moved = flow.F.dot(x) + drift - self._reference[first]
-        g = arrival.information.dot(moved * d)
+        g = information.dot(moved * d)
         np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
         fit, energy, gaps, read = self._ones[rows].dot(self._sums[rows]).tolist()
         held = abs(self._places[first : count + 1]).dot(self._held).ravel()
@@ -359,7 +360,7 @@ class SlidingBand:
             deviation, gain = gains.applied(right, end, whole)
         else:
             work = self._columns(rows)
-            np.add(self._own[first], arrival.band * d, work[0])
+            np.add(self._own[first], band * d, work[0])
             solved = _solved(work, right.ravel(), end)
             if solved is None:
                 return None
@@ -393,7 +394,7 @@ class SlidingBand:
         """
         arrival = flow.arrival_information(Y)
         assert arrival is not None
-        begun = flow.growth * Y.dot(flow.F.T.dot(arrival.information.dot(deviation[: self._n] - moved)))
+        begun = flow.growth * Y.dot(flow.F.T.dot(arrival[0].dot(deviation[: self._n] - moved)))
         places = self._places[first : len(self._known) + 1].copy()
         places[0] = x
         away = np.concatenate([begun, deviation]).reshape(-1, self._n)

@@ -16,8 +16,7 @@ from sampling_design.observability.windows.pieces import WindowPieces, WindowWit
 from sampling_design.observability.windows.timing import rows_of_any_time
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 
 # relative error granted to C e^{A tau}, of |C||e^{A tau}|, for tau |A| up to 200 and in proportion beyond;
 # the tests of the exponentials hold them to it against 50-digit arithmetic

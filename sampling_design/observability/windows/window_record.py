@@ -20,9 +20,9 @@ from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
+from sampling_design.records.budget import Progress
 from sampling_design.records.declarations import Column
 from sampling_design.records.evidence import Claim
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, moment, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

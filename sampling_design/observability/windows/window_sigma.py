@@ -18,8 +18,7 @@ from sampling_design.observability.windows.window_record import RTOL, WindowSigm
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance

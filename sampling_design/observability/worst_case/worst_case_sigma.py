@@ -21,8 +21,7 @@ from sampling_design.observability.sigma_bracket import (
 )
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
-from sampling_design.observability.worst_case.periodicity import within_periods
-from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows, within_periods
 from sampling_design.observability.worst_case.spaced_search import (
     LEAST_CELLS,
     MOVES,
@@ -35,11 +34,10 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, counted, moment, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance

@@ -19,9 +19,8 @@ from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.evidence import Claim
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.jitter import TimingTolerance

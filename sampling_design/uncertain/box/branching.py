@@ -10,8 +10,7 @@ from scipy import optimize
 
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.records.arrays import Array, Index
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.uncertain.box.expansion import BoxCells
 
 Judge = Callable[[BoxCells], tuple[Array, Array, Array]]

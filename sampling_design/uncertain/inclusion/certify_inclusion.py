@@ -16,8 +16,7 @@ from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily, period_of

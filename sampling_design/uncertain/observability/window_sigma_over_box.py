@@ -15,9 +15,8 @@ from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import checked_pieces
 from sampling_design.observability.windows.window_sigma import left_of_sigma
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.evidence import Claim
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS, BoxBounds, branch

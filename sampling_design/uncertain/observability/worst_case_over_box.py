@@ -21,10 +21,9 @@ from sampling_design.observability.worst_case.worst_case_sigma import (
 )
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import MATRICES, CostFunction
 from sampling_design.estimators.gap_flows.flows import discounted_length
+from sampling_design.estimators.online.schedule_watch import ROUNDINGS
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
@@ -23,7 +24,7 @@ from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionC
 ROUNDING = 1e-9
 """Share of itself that is added to every bound, so that rounding and the integrator's own error cannot break it."""
 
-SAME_GAP = 1e-9  # a gap beyond the certified ones by this share of itself is rounding
+SAME_GAP = 1e-9  # a gap beyond the certified ones by this share of itself is rounding, and by that of its two times
 
 UNCOVERED = "a gap or an output that the certificate does not cover, a state outside its region, or an unbounded start"
 """Why an estimate under a certificate may have none."""
@@ -97,7 +98,7 @@ class InclusionPromise:
 
     def counts(self, t: float, last: float) -> bool:
         """Whether the proof takes a sample at t, the last one taken being at `last`."""
-        return t - last >= self.shortest * (1 - SAME_GAP)
+        return t - last >= self.shortest - _rounding(self.shortest, t, last)
 
     def origin(self, prior_time: float, t: float) -> float:
         """When a sample may be thought to have been taken before the prior, so that one at t counts."""
@@ -106,7 +107,7 @@ class InclusionPromise:
     def age(self, t: float, last: float) -> float:
         """Time since the last sample that counts, as P(tau) takes it; NaN beyond the certified gaps."""
         tau = t - last
-        return min(tau, self.longest) if tau <= self.longest * (1 + SAME_GAP) else np.nan
+        return min(tau, self.longest) if tau <= self.longest + _rounding(self.longest, t, last) else np.nan
 
     def weight(self, t: float, last: float) -> Array:
         """P(tau) at t, (n, n)."""
@@ -171,6 +172,11 @@ class InclusionPromise:
     def holds(self, x: Array) -> bool:
         """Whether all states (..., n) lie in the region."""
         return bool(self.region.holds(x).all())
+
+
+def _rounding(gap: float, t: float, last: float) -> float:
+    """What rounding leaves open of a gap between two times: clocks that count from 1970 round to 2e-7 s."""
+    return SAME_GAP * gap + ROUNDINGS * float(np.spacing(max(abs(t), abs(last))))
 
 
 def _square(weight: Array, box: tuple[Array, Array]) -> float:

@@ -99,6 +99,22 @@ def test_a_gap_beyond_the_certified_ones_ends_the_radius_until_the_window_has_pa
     assert not estimator.predict(1.4).certified
 
 
+@pytest.mark.parametrize("zero", [-1.7e9, 1.7e9])
+def test_the_shortest_and_the_longest_gap_are_certified_wherever_the_clock_begins(zero):
+    """Stamps are rounded, to 2e-7 s where clocks count from 1970; what is longer than that is longer."""
+    found = []
+    for begin in (0.0, zero):
+        estimator = scheme()
+        estimator.start([0.6, 0.0], begin)
+        times = begin + np.cumsum([0.4, 0.4, 0.8, 0.4, 0.8])
+        found.append([estimator.update(t, [0.5]) for t in times.tolist()])
+    for near, far in zip(*found, strict=True):
+        assert far.certified
+        assert far.on_schedule
+        assert far.radii == pytest.approx(near.radii, rel=1e-4)
+    assert not estimator.predict(times[-1] + 0.80001).certified
+
+
 def test_samples_that_come_too_early_do_no_harm():
     estimator = scheme()
     estimator.start([0.6, 0.0])

@@ -40,6 +40,7 @@ def test_a_stiff_plant_agrees_with_an_implicit_runge_kutta_method():
 
 
 def test_what_cannot_be_simulated_is_refused():
+    assert simulate(PUSHED, [-2.0, 2.0], [0.0, 0.1]).shape == (2, 2)  # a bound belongs to the box
     with pytest.raises(ArgumentError, match="`x0` must lie in the plant's box of states, got x2 = 3"):
         simulate(PUSHED, [0.0, 3.0], [0.0, 1.0])
     with pytest.raises(ArgumentError, match=r"`u` must have shape \(2, 1\)"):

@@ -49,10 +49,13 @@ class GapFlow:
         singular or badly conditioned.
     band : (2, n, 2n)
         Its lower triangle, column after column, from the diagonal down.
+    undiscounted : (n, n) or None
+        W without discount, where a prediction has asked for it.
     """
 
     __slots__ = (
         "F", "W", "_arrival", "_band", "_both", "_roots", "_size", "gap", "growth", "inputs", "integral",
+        "undiscounted",
     )  # fmt: skip
 
     def __init__(
@@ -69,6 +72,7 @@ class GapFlow:
         self._roots = roots
         self._band: Array | None = None
         self._size: Array | None = None
+        self.undiscounted: Array | None = None
         self._arrival: tuple[Array, tuple[Array, Array] | None] | None = None
         self._both: tuple[Array | None, float] | None = None if roots is None else (None, 0.0)
 

@@ -110,7 +110,7 @@ class OpenLoop:
         if whole is None or not np.isfinite(whole).all():
             if not np.isfinite(Y).all():
                 with np.errstate(over="ignore", invalid="ignore"):
-                    Y = propagate(node.Y, flow.F, self._disturbed(flow.gap))
+                    Y = propagate(node.Y, flow.F, self._disturbed(flow))
             return x, Y, beta
         size = self._trace(whole)
         if np.isfinite(Y).all() and beta * self._trace(Y) <= size:
@@ -124,7 +124,7 @@ class OpenLoop:
         if not (np.isfinite(node.beta) and np.isfinite(energy)) or flow.gap == 0:
             return None
         own = node.beta * symmetrise(flow.F @ node.Y @ flow.F.T)
-        driven = energy * flow.gap * self._disturbed(flow.gap)
+        driven = energy * flow.gap * self._disturbed(flow)
         first, second = self._trace(own), self._trace(driven)
         if not (first > 0 and second > 0):
             return own + driven
@@ -153,7 +153,9 @@ class OpenLoop:
         """Trace of a covariance in units of P2."""
         return float(np.sum(self.weights.prior * Y))
 
-    def _disturbed(self, gap: float) -> Array:
-        """int_0^h e^{As} G Qw^-1 G' e^{A's} ds."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(self._undiscounted_flow.over([gap])[2][0])
+    def _disturbed(self, flow: GapFlow) -> Array:
+        """int_0^h e^{As} G Qw^-1 G' e^{A's} ds over a gap, found once: predictions look ahead by the same gaps."""
+        if flow.undiscounted is None:
+            with np.errstate(over="ignore", invalid="ignore"):
+                flow.undiscounted = np.asarray(self._undiscounted_flow.over([flow.gap])[2][0])
+        return flow.undiscounted

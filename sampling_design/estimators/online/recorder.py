@@ -155,8 +155,8 @@ class Recorder:
         node, loop = state.nodes[at], self.loop
         (flow,) = loop.table.get([t - node.t])
         drift = loop.drift.between(state, node.t, t)
-        loop.refuse_overflow(flow, loop.moved(node, flow, drift), t)
         x, Y, beta = loop.ahead(node, flow, drift)
+        loop.refuse_overflow(flow, x, t)
         if not np.isfinite(Y).all():
             loop.refuse_overflow(flow, np.array([np.inf]), t)
         size, condition = in_units_of(Y, passed(node, flow, drift, x))

@@ -67,7 +67,7 @@ NARROW_MARGINS = (5e-4, 0.015, 0.04)
 SOUGHT = 0.75
 """Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
 
-COARSER = 0.25  # share of the work that searches on coarser grids may take, all together, the coarsest first
+COARSER = 0.25  # share of the work after which searches on coarser grids end, all together, if they hold something
 ROUNDS = 60  # choices judged at one level
 WIDTH = 0.002  # relative width to which the level out of reach is found
 
@@ -191,13 +191,14 @@ class _Planning:
     """One call: the search, its proof, and its bounds."""
 
     def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, finer: _Planning | None = None):
-        self.problem, self.first = problem, COARSER if finer is None else 1.0
+        self.problem, self.share = problem, np.inf if finer is None else COARSER
         self.discrete = discretize(problem)
         self.oracle = AccuracyOracle(problem, self.discrete)
         self.oracle.work.seconds = self.oracle.work.limit = work
         own = PlanProgress(progress, problem, self.oracle.work)
         self.progress: PlanProgress = own if finer is None else finer.progress
         self.search = PlanSearch(problem, self.oracle, self.progress)
+        self.search.share = self.share
         self.kept = False
         """Whether the densest choice was judged to keep every tolerance."""
         self.least: CostProof | None = None
@@ -207,14 +208,15 @@ class _Planning:
     def started(self) -> list[Mask]:
         """What a search on a coarser grid holds: it is as good on this one, which has all of its times.
 
-        So a finer grid makes no plan worse, as far as the share of the work that is spent on the coarser one goes.
+        So a finer grid makes no plan worse, as far as the share of the work that is spent on the coarser one goes,
+        which has what it needs until it holds something.
         What it found against other choices joins them here: what is held needs no more of them, its bound does.
         """
         coarse, work = coarser(self.problem), self.oracle.work
         if coarse is None:
             return []
         try:
-            run = _Planning(coarse, self.first * work.seconds, None, self)
+            run = _Planning(coarse, work.seconds, None, self)
         except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
             return []
         try:
@@ -229,8 +231,9 @@ class _Planning:
         return self._lifted(run)
 
     def _lifted(self, run: _Planning) -> list[Mask]:
-        """What a search on a coarser grid holds, the last first, on this one."""
-        return lifted_choices(self.problem, [chosen for chosen, _ in run.search.incumbents[::-1]])
+        """What a search on a coarser grid holds, the last first, and all of its times if they do, on this one."""
+        held = [chosen for chosen, _ in run.search.incumbents[::-1]] + [densest(run.problem)] * run.kept
+        return lifted_choices(self.problem, held)
 
     def sought(self) -> ProvenChoice:
         """What the search for the requirement's aim comes to, proven."""
@@ -252,7 +255,7 @@ class _Planning:
             self.progress.found(everything, worst)
         search.seed(1.0)
         search.starts = self.started()
-        search.share = SOUGHT
+        search.share = min(SOUGHT, self.share)
         margins = list(NARROW_MARGINS if search.stochastic else MARGINS[:1] if late else MARGINS)
         for margin in margins:
             again = True
@@ -264,7 +267,7 @@ class _Planning:
             if last.worst <= 1 or search.late:
                 break
             margins += tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
-        search.share = np.inf
+        search.share = self.share
         return last
 
     def cheapest(self) -> Plan:
@@ -272,7 +275,7 @@ class _Planning:
         search, last, everything = self.search, self._cheapest(), densest(self.problem)
         if not search.incumbents and last.worst > 1:
             return self._nearest(last)
-        best = self.feasible.cheapest([chosen for chosen, _ in search.incumbents], everything)
+        best = self.feasible.cheapest([*search.starts, *(chosen for chosen, _ in search.incumbents)], everything)
         sure, cost = best is last, self.problem.cost(best.chosen)
         frame = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         search.sharpen(1 / EASED**2, cost)

@@ -17,6 +17,9 @@ HOURS = {"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Fri": [["08:00", "
 TANK = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["gauge"])
 WEEK = {"accuracy": {"level": 1.8}, "w_bound": 0.02, "sensors": {"gauge": {"noise_bound": 0.1}}, "calendar": HOURS}
 REFINED = [
+    (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.8, 0.8 / 3), 0.05),  # no more than the coarser one needs
+    (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.8, 0.8 / 3), 0.02),
+    (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.4, 0.4 / 3), 0.2),
     (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.8, 0.8 / 3), 0.1),
     (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.4, 0.1, 0.4 / 12), 4),
     (TANK, WEEK, ("1 h", "15 min", "5 min"), 2),

@@ -64,6 +64,8 @@ LARGE = {
     "random, six states, seed 0, k=8, 20 %": (*random_plant(6, 0), 4.0, 8, 0.3, 0.2),
     "random, six states, seed 1, k=8, 20 %": (*random_plant(6, 1), 4.0, 8, 0.3, 0.2),
     "random, six states, seed 2, k=8, 20 %": (*random_plant(6, 2), 4.0, 8, 0.3, 0.2),
+    "random, six states, seed 4, k=8, 20 %": (*random_plant(6, 4), 4.0, 8, 0.3, 0.2),
+    "random, eight states, seed 0, k=10, 20 %": (*random_plant(8, 0), 4.0, 10, 0.3, 0.2),
     "oscillator k=3, a millionth apart": (*oscillators(1.0), 4.0, 3, 1e-6, 0.01),
     "oscillator k=6, a millionth apart": (*oscillators(1.0), 4.0, 6, 1e-6, 0.01),
 }
@@ -135,8 +137,8 @@ def cells(name):
 EVERY = CASES | LARGE
 NOTE = (
     "The least sigma of k samples in a window of 4 s (5 s with a constant) that are at least .3 to .5 s apart, proven "
-    "and attained, to 1 % unless more are named. Cells are those of directions that the proof looked at. No search "
-    "found less than what is proven, or the program would have ended. Rows that a run does not name stay as an "
+    "and attained, to 1 % unless more are named. Cells are those of directions or times that the proof looked at. No "
+    "search found less than what is proven, or the program would have ended. Rows that a run does not name stay as an "
     "earlier run left them."
 )
 RIVALS = ("differential evolution", "SHGO")

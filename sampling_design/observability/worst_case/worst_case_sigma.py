@@ -30,6 +30,7 @@ from sampling_design.observability.worst_case.spaced_search import (
     worst_of,
 )
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
+from sampling_design.observability.worst_case.spaced_times import has_few_times, prove_by_times
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -96,7 +97,7 @@ class WorstCaseSigma(SigmaBracket):
     method : str
         What `lower` rests on, in words.
     cells : int
-        How many cells of directions were bounded.
+        How many cells of directions or times were bounded.
     family : SpacedWindows
     profile : WorstCaseProfile
     coordinates : str
@@ -226,7 +227,7 @@ def worst_case_sigma(
     rng : numpy.random.Generator or its seed, optional
         Draws the starts of the search for the attained bound; the proof draws nothing. Default: seed 0.
     progress : callable, optional
-        Called with the share of directions that is settled, and a message.
+        Called with the share of directions or times that is settled, and a message.
     rigorous : bool
         Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; the budget then
         holds for that proof once more.
@@ -266,6 +267,8 @@ def worst_case_sigma(
     is closed by its corners, where the least y'Gz over all schedules is a least path and each sample's term lies
     above its chords minus (h^2/8) max of its second derivative. Cell, grid and the windows in which each
     sample can still matter shrink together. The state is taken at the first sample, which alone leaves it a thin slab.
+    From five states on, where at most twelve samples are on time, cells of times take the place of those of directions:
+    one matrix lies below the Gramians of all schedules of a cell.
     *Deviations.* `deviations` of the record says what is left where samples come a hundredth of the spacing early or
     late (or as was asked), and where one is lost, within what is left of a `budget`: a rule with one sample fewer.
     *Numerical aspects.* The coordinates are those in which a survey of the window and the worst schedule
@@ -273,7 +276,7 @@ def worst_case_sigma(
     bounded by norms), not samples: a dip narrower than the first grid is not missed. `lower` is reduced by
     `bracket.ALLOWANCE` for the exponentials and by a multiple of eps for the sums; it is no interval
     arithmetic unless `rigorous` asks for it. Sigma counts as zero below n eps |O|. Cost grows exponentially
-    with the number of states, about linearly with k; retain few states.
+    with the number of states, about linearly with k, over directions, and over times exponentially with k.
 
     References
     ----------
@@ -398,16 +401,27 @@ def _proof(
         method = "only one schedule is admissible"
     else:
         budget = Budget(seconds)
-        found, method = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH)), "branch and bound over directions"
+        found = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH))
         if rows.counts_as_zero(found.sigma, found.slacks, found.moves):
             proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unobservable"
-        elif rows.n > MOST_STATES:
-            proof, method = SphereBounds(0.0, found, "too many states", 0), "none"
         else:
-            proof = prove_worst(rows, found, rtol, max(budget.left, _PROOF * seconds), progress)
+            proof, method = _searched(rows, found, rtol, max(budget.left, _PROOF * seconds), progress)
     if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks, proof.attained.moves):
         proof = proof._replace(lower=0.0, status="below rounding")
     return proof, method
+
+
+def _searched(
+    rows: SpacedRows, found: AttainedSchedule, rtol: float, seconds: float, progress: Progress | None
+) -> tuple[SphereBounds, str]:
+    """Both bounds by cells of times where these are few, else by cells of directions, and which of the two."""
+    budget = Budget(seconds)
+    by_times = prove_by_times(rows, found, rtol, seconds, progress) if has_few_times(rows) else None
+    if by_times is not None and by_times.status != "rounding":
+        return by_times, "branch and bound over times"
+    if rows.n > MOST_STATES:
+        return SphereBounds(0.0, found, "too many states", 0), "none"
+    return prove_worst(rows, found, rtol, budget.left, progress), "branch and bound over directions"
 
 
 def _record(

@@ -1,0 +1,357 @@
+"""Proven lower bound of sigma over spaced schedules of few samples: branch and bound over their times.
+
+As over the sphere the state z is taken at the first sample: a schedule is a start u and slacks 0 = v_1 <= ... <= v_k
+<= S - u, and sigma^2 >= mu where G - mu N(u) is positive definite, G the sum of R_i'R_i over the samples' rows and
+N(u) = (e^{-Au} L)'(e^{-Au} L). A cell is a window of each slack and one of the start. With c_i and d_i the centre and
+the half-width of a window, R(c_i + s) differs from R_i by no more than
+
+    v_i = d_i |R_i' z| + d_i^2/2 |R_i'' z| + d_i^3/6 sup |R'''| |z|,
+
+and (|R_i z| - v_i)_+^2 >= (1 - k_i) |R_i z|^2 - (1/k_i - 1) v_i^2 for every 0 < k_i <= 1, v_i^2 <= sum of its terms
+squared over shares q_ij that add up to 1. So one matrix M lies below G in the whole cell, and one factorisation decides
+it for all states at once. A sample whose window is too wide has k_i = 1 and is left out: it costs nothing until enough
+others have come near to where they are. Any k_i and q_ij prove; those of the saddle point are sought in a few turns.
+N(u) <= |e^{-A(u - c)}|^2 N(c) in the window of starts.
+
+Directions take 2^{n-1} corners and cells in n - 1 dimensions, times k dimensions and one matrix: where samples are few
+that is far less, since what is small in z is small because of a few times.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_search import AttainedSchedule, polish, worst_of
+from sampling_design.observability.worst_case.spaced_sphere import SphereBounds
+from sampling_design.observability.worst_case.spaced_tables import SphereTables
+from sampling_design.records.arrays import Array, Integers, Mask
+from sampling_design.records.budget import Budget
+from sampling_design.records.progress import Progress
+
+_EPS = float(np.finfo(float).eps)
+_TINY = 1e-300
+_FINEST = 4096  # cells of the finest grid of slacks
+_FEWEST_STATES = 5  # below, cells of directions are few
+_MOST_SAMPLES = 12  # beyond, times are too many
+_LEAST_SPACING = 1 / 64  # of the slack: clusters that are narrower need a finer grid than this
+_STAGES = (0.25, 1.0)  # of the wanted sigma: a search that is cut short has proven something
+_BATCH = 120_000  # numbers per batch of matrices
+_MOST_CELLS = 2_000_000  # open at once
+_TURNS = 4  # towards the best factors
+_FARTHER = 0.3  # how much counts what a window moves beside what it takes
+_CENTRAL = 0.05  # of the spread of eigenvalues: how far from the weakest direction the factors look
+_LONGEST = 1e100  # stands for what overflows: such a sample is left out
+_STRETCHED = 1e12  # the most by which N may grow within a window of starts that proves anything
+_BETWEEN = 64  # parts of a finest cell at which the growth within it is looked at
+
+
+class TimeCells(NamedTuple):
+    """Windows of slacks and starts, in points of the finest grid, and which share of all schedules they stand for."""
+
+    first: Integers  # (m, k)
+    last: Integers  # (m, k)
+    earliest: Integers  # (m,) starts
+    latest: Integers  # (m,)
+    share: Array  # (m,)
+
+    def take(self, index: Integers | Mask) -> TimeCells:
+        """The cells at `index`."""
+        return TimeCells._make(a[index] for a in self)
+
+
+def has_few_times(rows: SpacedRows) -> bool:
+    """Whether there are few samples for the states, on time, and not too near to each other for a grid of times."""
+    near = rows.spacing < _LEAST_SPACING * rows.slack
+    return rows.n >= _FEWEST_STATES and rows.count <= _MOST_SAMPLES and not rows.moving and not near
+
+
+def prove_by_times(
+    rows: SpacedRows, found: AttainedSchedule, rtol: float, seconds: float, progress: Progress | None = None
+) -> SphereBounds | None:
+    """Prove a lower bound of sigma that lies within `rtol` below the attained one, or as near as time allows.
+
+    None where states cannot be carried from the first sample back to the window's start.
+    """
+    tables = SphereTables(rows, found.slacks, rtol / 100, found.moves)
+    return _TimeSearch(rows, tables, found, rtol).run(Budget(seconds), progress) if tables.pulled else None
+
+
+class _TimeSearch:
+    """Cells of times stage by stage: what is proven at one is looked at again at the next."""
+
+    def __init__(self, rows: SpacedRows, tables: SphereTables, found: AttainedSchedule, rtol: float) -> None:
+        self.rows, self.best, self.rtol, self.bounds = rows, found, rtol, _CellBounds(rows, tables)
+        zero: Integers = np.zeros((1, rows.count), dtype=np.int32)
+        last: Integers = zero + np.int32(_FINEST)
+        last[:, 0] = 0  # the first sample is where the state is taken
+        whole = TimeCells(zero, last, zero[:, 0], zero[:, 0] + np.int32(_FINEST), np.ones(1))
+        self.open, self.proven = [whole], list[TimeCells]()
+        self.stage, self.settled, self.cells = 0, 0.0, 0
+        self.size = max(1, _BATCH // (rows.count * rows.n**2))
+
+    @property
+    def wanted(self) -> float:
+        """Lambda that all cells are to have in the end."""
+        return float((self.best.sigma * (1 - 0.99 * self.rtol)) ** 2)
+
+    @property
+    def lower(self) -> float:
+        """Sigma proven so far: that of the last stage that all cells have passed."""
+        passed = _STAGES[self.stage - 1] if self.stage else 0.0
+        return float(passed * np.sqrt(self.wanted * (1 - self.bounds.forgiven)))
+
+    def run(self, budget: Budget, progress: Progress | None) -> SphereBounds:
+        """Work on the cells until all have passed all stages, or the budget is spent, or rounding decides."""
+        status = ""
+        try:
+            while self.stage < len(_STAGES) and not status:
+                status = self._stepped(budget, progress)
+        except KeyboardInterrupt:
+            status = "interrupted"
+        return SphereBounds(self.lower, self.best, status or "closed", self.cells)
+
+    def _stepped(self, budget: Budget, progress: Progress | None) -> str:
+        """One batch: why the search ends, or nothing."""
+        if budget.over or sum(len(part.share) for part in self.open + self.proven) > _MOST_CELLS:
+            return "budget"
+        cells = self._taken()
+        if len(cells.share):
+            self.cells += len(cells.share)
+            mu = _STAGES[self.stage] ** 2 * self.wanted
+            done, moved, stretched = self.bounds.of(cells, mu)
+            self.proven.append(cells.take(done))
+            self.settled += float(np.sum(cells.share[done]))
+            cells, moved, stretched = cells.take(~done), moved[~done], stretched[~done]
+            if len(cells.share):
+                self._improve(cells)
+                if not self._cut(cells, moved, stretched):
+                    return "rounding"
+        if progress is not None:
+            share = (self.stage + min(self.settled, 1.0)) / len(_STAGES)
+            left = sum(len(part.share) for part in self.open)
+            progress(share, f"worst case sigma: {left} cells open, at least {self.lower:.6g}")
+        if not self.open:
+            self.open, self.proven, self.stage, self.settled = self.proven, [], self.stage + 1, 0.0
+        if self.rows.counts_as_zero(self.best.sigma, self.best.slacks, self.best.moves):
+            return "rounding"
+        return ""
+
+    def _taken(self) -> TimeCells:
+        """A batch of the cells that came last, without starts that leave the last sample no room."""
+        parts, many = [], 0
+        while self.open and many < self.size:
+            part = self.open.pop()
+            over = many + len(part.share) - self.size
+            if over > 0:
+                self.open.append(part.take(np.arange(over)))
+                part = part.take(np.arange(over, len(part.share)))
+            parts.append(part)
+            many += len(part.share)
+        cells = TimeCells._make(np.concatenate(column) for column in zip(*parts, strict=True))
+        cells = cells._replace(latest=np.minimum(cells.latest, _FINEST - cells.first[:, -1]))
+        fits = cells.latest >= cells.earliest
+        self.settled += float(np.sum(cells.share[~fits]))
+        return cells.take(fits)
+
+    def _improve(self, cells: TimeCells) -> None:
+        """Follow the centre of the narrowest cell if it beats the attained schedule."""
+        narrowest = int(np.argmin(np.sum(cells.last - cells.first, axis=1)))
+        slacks = self.bounds.slacks[(cells.first[narrowest] + cells.last[narrowest]) // 2]
+        start = self.bounds.slacks[cells.earliest[narrowest]]
+        here = worst_of(self.rows, np.minimum(slacks + start, self.rows.slack)[None])
+        if here.sigma < self.best.sigma * (1 - 1e-9):
+            better = polish(self.rows, here.slacks, here.moves, self.rows.slack / _FINEST)
+            self.best = min(here, better, key=lambda a: a.sigma)
+
+    def _cut(self, cells: TimeCells, moved: Array, stretched: Array) -> bool:
+        """Halve in each cell the window that takes most; False where one is too narrow to be cut."""
+        row = np.arange(len(cells.share))
+        moved = np.where(cells.last - cells.first >= 2, moved, -1.0)
+        stretched = np.where(cells.latest - cells.earliest >= 2, stretched, -1.0)
+        which = np.argmax(moved, axis=1)
+        early = stretched > moved[row, which] ** 2 * np.sign(moved[row, which])
+        if np.any(~early & (moved[row, which] < 0)):
+            return False
+        cells = cells._replace(share=cells.share / 2)
+        part = cells.take(early)
+        middle = (part.earliest + part.latest) // 2
+        self.open += [part._replace(latest=middle), part._replace(earliest=middle)]
+        part, at = cells.take(~early), which[~early, None]
+        ends = (np.take_along_axis(end, at, axis=1) for end in (part.first, part.last))
+        middle, sample = np.add(*ends) // 2, np.arange(self.rows.count)
+        # slacks are in order: what one window loses its neighbours lose too
+        sooner = part._replace(last=np.where(sample <= at, np.minimum(part.last, middle), part.last))
+        later = part._replace(first=np.where(sample >= at, np.maximum(part.first, middle), part.first))
+        self.open = [cells for cells in [*self.open, sooner, later] if len(cells.share)]
+        return True
+
+
+class _CellBounds:
+    """Rows with three derivatives at all points of the finest grid, and what lies below G in cells of times."""
+
+    def __init__(self, rows: SpacedRows, tables: SphereTables) -> None:
+        self.forgiven, self.growth, self.basis = tables.forgiven, tables.growth, tables.basis
+        self.count, self.n, self.wide = rows.count, rows.n, rows.slack / _FINEST
+        self.slacks = rows.slack * np.arange(_FINEST + 1) / _FINEST
+        times, L = rows.times(self.slacks[:, None]).T, float(np.linalg.norm(self.basis))
+        flow = rows.plant.transition(times.ravel())
+        values = rows.C @ flow
+        size = np.linalg.norm(values, axis=(1, 2))
+        astray = rows.grade * float(np.linalg.norm(rows.C)) * np.linalg.norm(flow, axis=(1, 2))
+        astray = (astray + 2 * self.n * _EPS * size) * L
+        shape, self.rows = (*times.shape, rows.p, rows.n), []
+        for _ in range(3):
+            self.rows.append((values @ self.basis).reshape(shape))
+            values = values @ rows.A
+        self.third = np.linalg.norm(values @ self.basis, axis=(1, 2)).reshape(times.shape) * (1 + 1e-9)
+        rate = 2 * float(np.linalg.norm(rows.A))
+        self.astray = [(astray * rate**j).reshape(times.shape) for j in range(3)]
+        self.rounding = 16 * (rows.count + rows.n + rows.p) ** 1.5 * _EPS
+        back = rows.plant.transition(-self.slacks)
+        start = back @ self.basis
+        self.norm = np.swapaxes(start, 1, 2) @ start
+        length = np.linalg.norm(start, axis=(1, 2))
+        self.lost = 3 * rows.grade * np.linalg.norm(back, axis=(1, 2)) * L * length + self.rounding * length**2
+        self.stretch = self._stretches(rows, np.linalg.norm(back, 2, axis=(1, 2)))
+
+    def _stretches(self, rows: SpacedRows, back: Array) -> Array:
+        """At least |e^{As}|^2 for all |s| up to each point of the grid."""
+        parts = self.wide * np.arange(_BETWEEN + 1) / _BETWEEN
+        rate = float(np.abs(np.linalg.eigvalsh((rows.A + rows.A.T) / 2)).max(initial=0.0))
+        with np.errstate(over="ignore"):
+            most = max(np.linalg.norm(rows.plant.transition(s * parts), 2, axis=(1, 2)).max() for s in (1.0, -1.0))
+            between = float(most) * np.exp(rate * self.wide / (2 * _BETWEEN))
+            there = np.linalg.norm(rows.plant.transition(self.slacks), 2, axis=(1, 2))
+            found = (np.maximum.accumulate(np.maximum(there, back)) * between * (1 + 1e-9)) ** 2
+        found[0] = 1.0
+        return np.asarray(found)
+
+    def of(self, cells: TimeCells, mu: float) -> tuple[Mask, Array, Array]:
+        """Which cells have sigma^2 >= mu; else what each window of slacks moves (m, k), what that of starts takes (m,).
+
+        Both in the states that the cell sees least: a length, and a square of one.
+        """
+        m, k, n = len(cells.share), self.count, self.n
+        at, half = (cells.first + cells.last) // 2, (cells.last - cells.first + 1) // 2 * self.wide
+        sample, away = np.arange(k), (cells.latest - cells.earliest + 1) // 2
+        start, stretch = (cells.earliest + cells.latest) // 2, self.stretch[away]
+        whole = stretch < _STRETCHED
+        stretch = np.minimum(stretch, _STRETCHED)
+        norm = (mu * stretch)[:, None, None] * (self.norm[start] + self.lost[start][:, None, None] * np.eye(n))
+        seen, astray = ([part[sample, at] for part in parts] for parts in (self.rows, self.astray))
+        reach = [np.ones_like(half), half, half**2 / 2]
+        grams = [np.swapaxes(r, 2, 3) @ (r * (d * d)[..., None, None]) for r, d in zip(seen, reach, strict=True)]
+        with np.errstate(over="ignore"):
+            beyond = half**3 / 6 * self.third[sample, at] * np.exp(self.growth * half)
+        beyond = np.minimum(beyond + half * astray[1] + half**2 / 2 * astray[2], _LONGEST)
+        lost = 2 * astray[0] ** 2 / self.forgiven / (1 - self.forgiven)
+        forms = _CellForms.of([g.reshape(m, k, n * n) for g in grams], beyond, lost, norm)
+        done, states = self._decided(forms)
+        moved = _sizes(grams[1].reshape(m, k, n * n), states) + _sizes(grams[2].reshape(m, k, n * n), states)
+        moved += beyond * _length(states)
+        seen_of = _sizes(forms.seen, states)
+        gained = np.where(moved < seen_of, moved * (2 * seen_of - moved), seen_of**2)
+        moved = np.sqrt(gained) + _FARTHER * moved
+        return done & whole, moved, (1 - 1 / stretch) * np.sum(norm * states, axis=(1, 2))
+
+    def _decided(self, forms: _CellForms) -> tuple[Mask, Array]:
+        """In which cells some M - mu N is positive definite; and the states (m, n, n) that each sees least.
+
+        No factors prove anything where these states by themselves see less: such a cell needs no further turns.
+        """
+        done, states = np.zeros(len(forms.norm), dtype=bool), forms.states.copy()
+        left: Integers = np.arange(len(forms.norm))
+        mean, rough = np.zeros_like(forms.norm), np.zeros_like(forms.norm[:, 0, 0])
+        for turn in range(_TURNS):
+            found, size, worth = self._below(forms)
+            on = worth >= 0 if turn else np.ones(len(left), dtype=bool)
+            left, mean, rough, forms = left[on], mean[on], rough[on], forms.take(on)
+            found, size = found[on], size[on]
+            step = 2 / (turn + 2)  # the last of them counts most
+            mean, rough = mean + step * (found - mean), rough + step * (size - rough)
+            turned = np.swapaxes(forms.white, 1, 2)
+            level, axes = np.linalg.eigh(forms.white @ (mean - forms.norm) @ turned)
+            axes = turned @ axes
+            away = level - level[:, :1] + _CENTRAL * (level[:, -1:] - level[:, :1]) + _TINY
+            forms = forms._replace(states=(axes / away[:, None, :]) @ np.swapaxes(axes, 1, 2))
+            states[left] = forms.states
+            good = np.flatnonzero(level[:, 0] > 0)
+            weakest = np.linalg.eigvalsh(mean[good] - forms.norm[good])[:, 0]
+            done[left[good]] = weakest > self.rounding * (rough + _traces(forms.norm))[good]
+            on = ~done[left]
+            left, mean, rough, forms = left[on], mean[on], rough[on], forms.take(on)
+            if not left.size:
+                break
+        return done, states
+
+    def _below(self, forms: _CellForms) -> tuple[Array, Array, Array]:
+        """A matrix M below G in each cell, what it is rounded from, and what is left of its states beyond mu N."""
+        n, beyond = self.n, forms.beyond
+        u = _sizes(forms.seen, forms.states)
+        v = [_sizes(forms.turning, forms.states), _sizes(forms.bending, forms.states), beyond * _length(forms.states)]
+        total = v[0] + v[1] + v[2] + _TINY
+        part = np.clip(total / np.maximum(u, _TINY), 1e-12, 1.0)
+        taken = (1 / part - 1) * total / (1 - self.forgiven)
+        kept, *less = 1 - part, *(taken / np.maximum(each, _TINY) for each in v)
+        last = np.sum(less[2] * beyond**2 + kept * forms.lost, axis=1)
+        pairs = (kept, forms.seen), (-less[0], forms.turning), (-less[1], forms.bending)
+        found = np.sum([f[:, None, :] @ g for f, g in pairs], axis=0).reshape(-1, n, n)
+        size = np.sum([np.abs(f) * np.sum(g[..., :: n + 1], axis=2) for f, g in pairs], axis=(0, 2)) + last
+        worth = np.sum(np.maximum(u - total, 0.0) ** 2, axis=1) - np.sum(forms.norm * forms.states, axis=(1, 2))
+        return found - last[:, None, None] * np.eye(n), size, worth
+
+
+class _CellForms(NamedTuple):
+    """Gram matrices of each cell: of rows at its centre, of what they turn and bend, and what they are compared with.
+
+    seen, turning, bending : (m, k, n n) arrays
+        R'R, and those of d R' and of (d^2/2) R''.
+    beyond, lost : (m, k) arrays
+        What more R may move, |z| = 1, and what rounding takes from |Rz|^2.
+    norm, white : (m, n, n) arrays
+        mu N with all that it may grow, and W with W (G + mu N) W' = I, about.
+    states : (m, n, n) array
+        Those that are seen least, X >= 0.
+    """
+
+    seen: Array
+    turning: Array
+    bending: Array
+    beyond: Array
+    lost: Array
+    norm: Array
+    white: Array
+    states: Array
+
+    @classmethod
+    def of(cls, grams: list[Array], beyond: Array, lost: Array, norm: Array) -> _CellForms:
+        """At first all states count, each as much as it is seen."""
+        n = norm.shape[1]
+        whole = grams[0].sum(axis=1).reshape(norm.shape) + norm
+        root = np.linalg.cholesky(whole + (1e-9 / n * _traces(whole))[:, None, None] * np.eye(n))
+        white = np.linalg.solve(root, np.broadcast_to(np.eye(n), whole.shape))
+        seen, turning, bending = grams
+        states = np.swapaxes(white, 1, 2) @ white
+        return cls(seen, turning, bending, beyond, lost, norm, white, states)
+
+    def take(self, index: Mask) -> _CellForms:
+        """The cells at `index`."""
+        return _CellForms._make(a[index] for a in self)
+
+
+def _traces(matrices: Array) -> Array:
+    """The trace of each matrix, (m,)."""
+    return np.asarray(np.trace(matrices, axis1=1, axis2=2))
+
+
+def _sizes(grams: Array, states: Array) -> Array:
+    """The root of <g, X> for the Gram matrices (m, k, n n) and the states X (m, n, n), (m, k)."""
+    return np.asarray(np.sqrt(np.maximum((grams @ states.reshape(len(states), -1, 1))[..., 0], 0.0)))
+
+
+def _length(states: Array) -> Array:
+    """The root of the trace, (m, 1)."""
+    return np.asarray(np.sqrt(_traces(states)))[:, None]

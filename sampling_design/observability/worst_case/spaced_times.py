@@ -28,8 +28,7 @@ from sampling_design.observability.worst_case.spaced_search import AttainedSched
 from sampling_design.observability.worst_case.spaced_sphere import SphereBounds
 from sampling_design.observability.worst_case.spaced_tables import SphereTables
 from sampling_design.records.arrays import Array, Integers, Mask
-from sampling_design.records.budget import Budget
-from sampling_design.records.progress import Progress
+from sampling_design.records.budget import Budget, Progress
 
 _EPS = float(np.finfo(float).eps)
 _TINY = 1e-300

@@ -39,7 +39,7 @@ def narrow_cells(rows, slacks, wide):
     first, last = np.clip(at - wide, 0, finest), np.clip(at + wide, 0, finest)
     first[:, 0] = last[:, 0] = 0
     early, late = np.clip(start - wide, 0, finest), np.clip(start + wide, 0, finest)
-    return spaced_times.TimeCells(first, last, early, late, np.ones(len(at)))
+    return spaced_times.TimeWindows(first, last, early, late, np.ones(len(at)))
 
 
 def sigma_at_the_first_sample(rows, start, slacks):

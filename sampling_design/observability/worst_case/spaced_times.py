@@ -47,7 +47,7 @@ _STRETCHED = 1e12  # the most by which N may grow within a window of starts that
 _BETWEEN = 64  # parts of a finest cell at which the growth within it is looked at
 
 
-class TimeCells(NamedTuple):
+class TimeWindows(NamedTuple):
     """Windows of slacks and starts, in points of the finest grid, and which share of all schedules they stand for."""
 
     first: Integers  # (m, k)
@@ -56,9 +56,9 @@ class TimeCells(NamedTuple):
     latest: Integers  # (m,)
     share: Array  # (m,)
 
-    def take(self, index: Integers | Mask) -> TimeCells:
+    def take(self, index: Integers | Mask) -> TimeWindows:
         """The cells at `index`."""
-        return TimeCells._make(a[index] for a in self)
+        return TimeWindows._make(a[index] for a in self)
 
 
 def has_few_times(rows: SpacedRows) -> bool:
@@ -86,8 +86,8 @@ class _TimeSearch:
         zero: Integers = np.zeros((1, rows.count), dtype=np.int32)
         last: Integers = zero + np.int32(_FINEST)
         last[:, 0] = 0  # the first sample is where the state is taken
-        whole = TimeCells(zero, last, zero[:, 0], zero[:, 0] + np.int32(_FINEST), np.ones(1))
-        self.open, self.proven = [whole], list[TimeCells]()
+        whole = TimeWindows(zero, last, zero[:, 0], zero[:, 0] + np.int32(_FINEST), np.ones(1))
+        self.open, self.proven = [whole], list[TimeWindows]()
         self.stage, self.settled, self.cells = 0, 0.0, 0
         self.size = max(1, _BATCH // (rows.count * rows.n**2))
 
@@ -138,7 +138,7 @@ class _TimeSearch:
             return "rounding"
         return ""
 
-    def _taken(self) -> TimeCells:
+    def _taken(self) -> TimeWindows:
         """A batch of the cells that came last, without starts that leave the last sample no room."""
         parts, many = [], 0
         while self.open and many < self.size:
@@ -149,13 +149,13 @@ class _TimeSearch:
                 part = part.take(np.arange(over, len(part.share)))
             parts.append(part)
             many += len(part.share)
-        cells = TimeCells._make(np.concatenate(column) for column in zip(*parts, strict=True))
+        cells = TimeWindows._make(np.concatenate(column) for column in zip(*parts, strict=True))
         cells = cells._replace(latest=np.minimum(cells.latest, _FINEST - cells.first[:, -1]))
         fits = cells.latest >= cells.earliest
         self.settled += float(np.sum(cells.share[~fits]))
         return cells.take(fits)
 
-    def _improve(self, cells: TimeCells) -> None:
+    def _improve(self, cells: TimeWindows) -> None:
         """Follow the centre of the narrowest cell if it beats the attained schedule."""
         narrowest = int(np.argmin(np.sum(cells.last - cells.first, axis=1)))
         slacks = self.bounds.slacks[(cells.first[narrowest] + cells.last[narrowest]) // 2]
@@ -165,7 +165,7 @@ class _TimeSearch:
             better = polish(self.rows, here.slacks, here.moves, self.rows.slack / _FINEST)
             self.best = min(here, better, key=lambda a: a.sigma)
 
-    def _cut(self, cells: TimeCells, moved: Array, stretched: Array) -> bool:
+    def _cut(self, cells: TimeWindows, moved: Array, stretched: Array) -> bool:
         """Halve in each cell the window that takes most; False where one is too narrow to be cut."""
         row = np.arange(len(cells.share))
         moved = np.where(cells.last - cells.first >= 2, moved, -1.0)
@@ -228,7 +228,7 @@ class _CellBounds:
         found[0] = 1.0
         return np.asarray(found)
 
-    def of(self, cells: TimeCells, mu: float) -> tuple[Mask, Array, Array]:
+    def of(self, cells: TimeWindows, mu: float) -> tuple[Mask, Array, Array]:
         """Which cells have sigma^2 >= mu; else what each window of slacks moves (m, k), what that of starts takes (m,).
 
         Both in the states that the cell sees least: a length, and a square of one.

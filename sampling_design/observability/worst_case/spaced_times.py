@@ -251,8 +251,8 @@ class _CellBounds:
         done, states = self._decided(forms)
         moved = _sizes(grams[1].reshape(m, k, n * n), states) + _sizes(grams[2].reshape(m, k, n * n), states)
         moved += beyond * _length(states)
-        seen_of = _sizes(forms.seen, states)
-        gained = np.where(moved < seen_of, moved * (2 * seen_of - moved), seen_of**2)
+        observed = _sizes(forms.observed, states)
+        gained = np.where(moved < observed, moved * (2 * observed - moved), observed**2)
         moved = np.sqrt(gained) + _FARTHER * moved
         return done & whole, moved, (1 - 1 / stretch) * np.sum(norm * states, axis=(1, 2))
 
@@ -289,14 +289,14 @@ class _CellBounds:
     def _below(self, forms: _CellForms) -> tuple[Array, Array, Array]:
         """A matrix M below G in each cell, what it is rounded from, and what is left of its states beyond mu N."""
         n, beyond = self.n, forms.beyond
-        u = _sizes(forms.seen, forms.states)
+        u = _sizes(forms.observed, forms.states)
         v = [_sizes(forms.turning, forms.states), _sizes(forms.bending, forms.states), beyond * _length(forms.states)]
         total = v[0] + v[1] + v[2] + _TINY
         part = np.clip(total / np.maximum(u, _TINY), 1e-12, 1.0)
         taken = (1 / part - 1) * total / (1 - self.forgiven)
         kept, *less = 1 - part, *(taken / np.maximum(each, _TINY) for each in v)
         last = np.sum(less[2] * beyond**2 + kept * forms.lost, axis=1)
-        pairs = (kept, forms.seen), (-less[0], forms.turning), (-less[1], forms.bending)
+        pairs = (kept, forms.observed), (-less[0], forms.turning), (-less[1], forms.bending)
         found = np.sum([f[:, None, :] @ g for f, g in pairs], axis=0).reshape(-1, n, n)
         size = np.sum([np.abs(f) * np.sum(g[..., :: n + 1], axis=2) for f, g in pairs], axis=(0, 2)) + last
         worth = np.sum(np.maximum(u - total, 0.0) ** 2, axis=1) - np.sum(forms.norm * forms.states, axis=(1, 2))
@@ -306,7 +306,7 @@ class _CellBounds:
 class _CellForms(NamedTuple):
     """Gram matrices of each cell: of rows at its centre, of what they turn and bend, and what they are compared with.
 
-    seen, turning, bending : (m, k, n n) arrays
+    observed, turning, bending : (m, k, n n) arrays
         R'R, and those of d R' and of (d^2/2) R''.
     beyond, lost : (m, k) arrays
         What more R may move, |z| = 1, and what rounding takes from |Rz|^2.
@@ -316,7 +316,7 @@ class _CellForms(NamedTuple):
         Those that are seen least, X >= 0.
     """
 
-    seen: Array
+    observed: Array
     turning: Array
     bending: Array
     beyond: Array
@@ -332,9 +332,9 @@ class _CellForms(NamedTuple):
         whole = grams[0].sum(axis=1).reshape(norm.shape) + norm
         root = np.linalg.cholesky(whole + (1e-9 / n * _traces(whole))[:, None, None] * np.eye(n))
         white = np.linalg.solve(root, np.broadcast_to(np.eye(n), whole.shape))
-        seen, turning, bending = grams
+        observed, turning, bending = grams
         states = np.swapaxes(white, 1, 2) @ white
-        return cls(seen, turning, bending, beyond, lost, norm, white, states)
+        return cls(observed, turning, bending, beyond, lost, norm, white, states)
 
     def take(self, index: Mask) -> _CellForms:
         """The cells at `index`."""

@@ -25,7 +25,7 @@ from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, Record, short
 
 KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is simulated anew
-SHOWN = 1e-9  # what an exact sensor may show, as a share of what w does to it within a cell: rounding and last digits
+SHOWN = 1e-9  # what an exact sensor may show, as a share of what w or the start does to it: rounding and last digits
 
 CLOSED = 1e-13
 """What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
@@ -138,12 +138,31 @@ class AccuracyWitness(Record):
 
     def scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
+        moved, balance = self._moved()
+        return np.where(moved > 0, moved, balance)
+
+    def shown(self, initial: InitialSet | None) -> Array:
+        """(K, n) how large states are at the samples, of which a share of `SHOWN` is rounding.
+
+        What w does within a cell; of a state that it does not move, what the start leaves of it by then.
+        """
+        moved, balance = self._moved()
+        if initial is None or not self.states[0].any():
+            return np.where(moved > 0, moved, balance)[None]
+        bounded = np.linalg.norm(initial.S, axis=0)
+        start = np.divide(1.0, bounded, out=np.abs(self.states[0]), where=bounded > 0)
+        passed = self.samples - self.samples[0]
+        with np.errstate(over="ignore", invalid="ignore"):
+            left = np.abs(expm_batch(self.plant.A * balance / balance[:, None], passed)) @ (start / balance) * balance
+        return np.where(moved > 0, moved, np.where(np.isfinite(left), left, 0.0))
+
+    def _moved(self) -> tuple[Array, Array]:
+        """How far w carries each state over the longest cell, and sizes that balance A."""
         balance = balanced_schur(self.plant.A).d
         G = self.plant.G * np.max(np.abs(self.w), axis=0, initial=0.0) / balance[:, None]
         longest = np.max(np.diff(self.edges), initial=0.0)
         _, W = discounted_flow(self.plant.A * balance / balance[:, None], G @ G.T, [longest])
-        spread = np.sqrt(np.diag(W[0]))
-        return np.asarray(balance * np.where(spread > 0, spread, 1.0))
+        return balance * np.sqrt(np.diag(W[0])), balance
 
     def explain(self) -> str:
         """Say what the witness does."""
@@ -208,7 +227,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
     noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[period], np.inf)
-    rounding = SHOWN * np.abs(witness.plant.C) @ witness.scales()
+    rounding = SHOWN * witness.shown(initial) @ np.abs(witness.plant.C).T
     noise = np.where((limit == 0) & (noise <= rounding), 0.0, noise)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)

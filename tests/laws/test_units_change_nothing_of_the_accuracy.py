@@ -65,3 +65,14 @@ def test_units_change_nothing_of_an_interval_from_exact_sensors(w_bound, start, 
         here.radii, rel=2e-3, abs=1e-7
     )  # 0 where exact samples leave nothing
     assert here.holds(plant.transition(2.7) @ first)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-6, 1.0, 1e12])
+def test_no_trajectory_that_an_exact_sensor_shows_attains_a_bound(size):
+    """What nothing drives is known exactly from the first exact sample on: the start alone says what is least."""
+    plant = sd.Plant([[0.4]], [[2.0 / size]], G=[[size]])
+    schedule, known = sd.Schedule([0.6, 1.1, 2.5]), {"start": 0.0, "end": 3.0, "initial_error": 1.5 * size}
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.0, v_bound=0.0, **known)
+    least = 1.5 * np.exp(0.4 * 0.6) * size
+    assert found.lower[0] <= least * (1 + 1e-9) <= found.upper[0] * (1 + 2e-9)
+    assert found.lower[0] == pytest.approx(least, rel=1e-3)

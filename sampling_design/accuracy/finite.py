@@ -51,8 +51,10 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     G = plant.G * bounds.w / balance[:, None]
     F, W = discounted_flow(A, G @ G.T, steps)
     W = W * float(np.mean(steps))
-    rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
-    D = _scales(F, W, rows, initial, balance)
+    known = np.linalg.norm(initial.S * balance, axis=0)  # what nothing drives shows what the start does to it
+    begun = np.divide(1.0, known, out=np.zeros_like(known), where=known > 0)
+    rows, sizes, exact = noise_units(plant.C * balance, bounds, W if W.any() else np.diag(begun**2)[None])
+    D = _scales(F, W, rows, known)
     A, G = A * D / D[:, None], G / D[:, None]
     F, W = F * D / D[:, None], W / np.outer(D, D)
     rows = [H * D for H in rows]
@@ -86,13 +88,12 @@ def covariance_root(P: Array) -> Array:
     return np.diag(d)
 
 
-def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance: Array) -> Array:
-    """Diagonal D: between what w reaches and what samples see, else what is known at the start."""
+def _scales(F: Array, W: Array, rows: list[Array], known: Array) -> Array:
+    """Diagonal D: between what w reaches and what samples see, else what is `known` at the start (0: nothing)."""
     pairs = min(len(F), len(rows))
     D = state_scales(F[:pairs], W[:pairs], rows[:pairs])
-    if not len(initial.S):
+    if not known.any():
         return D
-    known = np.linalg.norm(initial.S * balance, axis=0)
     driven = np.any(W != 0, axis=(0, 2))
     size = 1 / np.where(known > 0, known, 1.0)
     # what a sample shows only after it has decayed is known far better from the start and from w

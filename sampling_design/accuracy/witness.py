@@ -141,7 +141,7 @@ class AccuracyWitness(Record):
         moved, balance = self._moved()
         return np.where(moved > 0, moved, balance)
 
-    def shown(self, initial: InitialSet | None) -> Array:
+    def sizes_at_samples(self, initial: InitialSet | None) -> Array:
         """(K, n) how large states are at the samples, of which a share of `SHOWN` is rounding.
 
         What w does within a cell; of a state that it does not move, what the start leaves of it by then.
@@ -227,7 +227,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
     noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[period], np.inf)
-    rounding = SHOWN * witness.shown(initial) @ np.abs(witness.plant.C).T
+    rounding = SHOWN * witness.sizes_at_samples(initial) @ np.abs(witness.plant.C).T
     noise = np.where((limit == 0) & (noise <= rounding), 0.0, noise)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)

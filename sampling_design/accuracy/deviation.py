@@ -71,6 +71,12 @@ class StandardDeviation(TableRecord, PlainRecord):
 
     _frame = "row:rows.names unit:rows.units worst worst_at mean"
     _plain = "rows:rows.names worst worst_at mean times profile"
+    _answers = (
+        "the least standard deviation for white noise along a schedule, of all filters",
+        "attained: by the Kalman filter, in doubles",
+        "at worst {worst}",
+        "`.covariance` of the estimates of `KalmanFilter` with the same noise",
+    )
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit

@@ -74,6 +74,12 @@ class AccuracyLimit(TableRecord, PlainRecord):
 
     _frame = "row:rows.names unit:rows.units lower"
     _plain = "rows:rows.names lower zones period unknown witnesses"
+    _answers = (
+        "errors at the worst time that no schedule of the allowed times falls below",
+        "attained: by a trajectory for each row that no measurement shows",
+        "no error is below {lower}",
+        "`.verify()`",
+    )
 
     def verify(self) -> bool:
         """Whether every witness keeps its bounds at all allowed real times and reaches its value."""
@@ -96,9 +102,7 @@ class AccuracyLimit(TableRecord, PlainRecord):
     def _rows(self) -> list[tuple[str, str]]:
         where = "all times" if self.zones is None else f"{len(self.zones)} zones in {short(self.period)}"
         lines = [("measured at", f"{where} {self.plant.time_unit}" if self.zones is not None else where)]
-        return lines + [
-            (label, f"never below {short(x)}") for label, x in zip(self.rows.labels(), self.lower, strict=True)
-        ]
+        return lines + [(label, short(x)) for label, x in zip(self.rows.labels(), self.lower, strict=True)]
 
     def explain(self) -> str:
         """Say what nobody can know better."""

@@ -47,6 +47,15 @@ class AccuracyByCount(TableRecord, PlainRecord):
     accuracies: tuple[Accuracy, ...]
 
     _plain = "counts period rows{names units matrix} upper lower closed"
+    _answers = (
+        "the least error that an estimator can guarantee, by how many evenly spaced samples it has",
+        "proven: `upper` by gains, `lower` by trajectories that no sample shows",
+        "{_good}",
+        "`.verify()`",
+    )
+
+    def _good(self) -> str:
+        return "as sharp as asked" if self.closed else "not as sharp as can be: a larger `budget` narrows it"
 
     @property
     def upper(self) -> Array:

@@ -85,8 +85,13 @@ class DetectabilityEvidence(YesOrNo):
     witness: PairWitness
     claim: Claim
 
+    _answers = (
+        "inequality (16) of the paper along random pairs of trajectories",
+        "{claim.strength}: it {_verdict} along {pairs} pairs",
+        "worst ratio {ratio}",
+        "`.witness`: the worst pair",
+    )
     _table = {
-        "worst ratio": "{ratio} ({_verdict})",
         "pairs": "{pairs}{_left_out} (evidence, not proof)",
         "at": "pair {witness.pair}, K_{witness.start}, t = {witness.t} {time_unit}",
         "median ratio": "{_median}",

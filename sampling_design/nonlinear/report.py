@@ -162,6 +162,16 @@ class ThyroidReport(Record):
     lines: tuple[Tree, ...]
     degree: int = 3
 
+    _answers = (
+        "errors of the paper's Section VI, with all samples and with few",
+        "sampled: {runs} runs of {days} days for each interpretation of w",
+        "{_good}",
+        "`to_markdown()` names the command that repeats it",
+    )
+
+    def _good(self) -> str:
+        return ", ".join(f"ratio {self.ratio(case):.3f} ({case})" for case in self.cases)
+
     @property
     def open_points(self) -> tuple[tuple[str, str], ...]:
         """What the paper does not say, and what is done instead."""
@@ -246,7 +256,7 @@ class ThyroidReport(Record):
         return "\n\n".join(parts) + "\n"
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("runs", f"{self.runs} of {short(self.days)} days per reading"), ("failures", str(self.failures))]
+        rows = [("failures", str(self.failures))]
         for case in self.cases:
             for span in SPANS:
                 standard, sparse = (short(np.mean(self.rmse(case, scheme, span)), 4) for scheme in SCHEMES)

@@ -5,7 +5,7 @@ import importlib
 import inspect
 import pickle
 import pkgutil
-import typing
+import re
 
 import numpy as np
 import pytest
@@ -22,6 +22,11 @@ from sampling_design.planning.comparison import PlanComparison
 from sampling_design.records.declarations import PLACE, STEP
 from sampling_design.records.record import ANSWERS, Record
 
+GIVEN = {  # what a user could have made, and what a plant consists of
+    "EigenvalueCluster", "FunctionalPlant", "Measurements", "ModalSplit", "NonlinearPlant", "PeriodicSchedule", "Plant",
+    "PlanRequirement", "Requirement", "SamplingFamily", "Schedule", "SimulatedRecord", "SparseSplit", "Sweep",
+    "TimeVaryingPlant", "UnobservableModes",
+}  # fmt: skip
 READ_OR_MADE = ("read_", "named_", "simulate_")  # verbs that return what a user could have made
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s", states=["position", "speed"])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -60,25 +65,52 @@ MADE = {
     "run without bounds": lambda: sd.KalmanFilter(PLANT).run(record()),
     "random_arrivals": lambda: sd.certificates.random_arrivals(certificate(), 0.1),
     "compare_schedule": lambda: sd.compare_schedule(PLANT, SCHEDULE, [0.7, 2.4], 4.0),
+    "accuracy_by_count": lambda: sd.accuracy.accuracy_by_count(PLANT, (1, 4), period=4.0, rtol=0.2, **BOUNDS),
+    "accuracy_by_count of a budget": lambda: sd.accuracy.accuracy_by_count(
+        PLANT, (4,), period=4.0, rtol=1e-9, budget=1e-9, **BOUNDS
+    ),
+    "accuracy_limit": lambda: sd.accuracy.accuracy_limit(PLANT, **BOUNDS),
+    "standard_deviation": lambda: sd.accuracy.standard_deviation(PLANT, SCHEDULE, w_intensity=0.1, v_deviation=0.1),
+    "four_horizons": lambda: sd.certificates.four_horizons(PLANT, SCHEDULE, certificate()),
+    "information_curve": lambda: sd.certificates.information_curve(certificate()),
+    "tradeoff_curve": lambda: sd.certificates.tradeoff_curve(PLANT, SCHEDULE, eta=0.4, noise_gains=(4.0,)),
+    "constants_from_proof": lambda: sd.certificates.constants_from_proof(PLANT, SCHEDULE),
+    "loss_tolerance": lambda: sd.observability.loss_tolerance(PLANT, SCHEDULE),
+    "loss_tolerance of growth": lambda: sd.observability.loss_tolerance(
+        sd.Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.0]]), sd.PeriodicSchedule([np.pi / 2])
+    ),
+    "largest_box": lambda: uncertain.largest_box(BOX, SCHEDULE, window=4.0),
+    "estimate_curve": lambda: sd.estimators.estimate_curve(
+        sd.MovingHorizonEstimator(PLANT, certificate(), initial_error=2.0, **BOUNDS),
+        sd.Measurements(PLANT, [0.7, 2.3], [[0.8], [-0.7]]),
+    ),
     "validate": lambda: sd.validate(PLANT, SCHEDULE, certificate(), runs=1, duration=2.0, scenarios=["random"]),
 }
 
 
 def results():
-    """Every class of record that a verb of the front door returns, and those that other plants are answered with."""
+    """Every class of record that a verb of the front door or of a room returns, and those of other plants."""
+    for module in pkgutil.walk_packages(sd.__path__, "sampling_design."):  # all records are known then
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    rooms = (importlib.import_module(room.name) for room in pkgutil.iter_modules(sd.__path__, "sampling_design."))
     verbs = [
-        getattr(sd, name)
-        for names in sd._FRONT_DOOR.values()
-        for name in names
-        if not (inspect.isclass(getattr(sd, name)) or name.startswith(READ_OR_MADE))
+        thing
+        for room in (sd, *rooms)
+        for name, thing in ((name, getattr(room, name)) for name in getattr(room, "__all__", ()))
+        if inspect.isfunction(thing) and not name.startswith(READ_OR_MADE)
     ]
-    told = {typing.get_type_hints(inspect.unwrap(verb))["return"] for verb in verbs}
-    for module in pkgutil.walk_packages(uncertain.__path__, "sampling_design.uncertain."):  # its records are known then
-        importlib.import_module(module.name)
+    told = {kind for verb in verbs for kind in returned(verb)}
     kinds = {EstimateRecord, PlanComparison, sd.certificates.RandomArrivals} | told
     for base in (SigmaBracket, SampleCount, ExistenceAnswer, AccuracyBracket, VerifiableRecord):
         kinds |= {kind for kind in derived(base) if kind.__module__.startswith("sampling_design.")}
     return sorted((kind for kind in kinds if not kind.__subclasses__() or "_answers" in vars(kind)), key=repr)
+
+
+def returned(verb):
+    """The classes of records that a verb returns, but those that a user gives."""
+    named = set(re.findall(r"\w+", str(inspect.unwrap(verb).__annotations__["return"])))
+    return {kind for kind in derived(Record) if kind.__name__ in named - GIVEN}
 
 
 def derived(base):

@@ -58,10 +58,22 @@ class FourHorizons(ListRecord[HorizonRow]):
     proof: ProofConstants | None
     radius: float | None
 
+    _answers = (
+        "horizons that four ways of proof ask for",
+        "proven: each by the theorem that it names",
+        "{_good}",
+        "`.certificate.verify()`",
+    )
     _frame = "rows{name source minimum note C_x:horizon.C_x C_w:horizon.C_w C_v:horizon.C_v}"
 
     def _entries(self) -> tuple[HorizonRow, ...]:
         return self.rows
+
+    def _good(self) -> str:
+        known = [row.minimum for row in self.rows if row.minimum is not None]
+        return (
+            f"the shortest is {short(min(known), 4)} {self.certificate.plant.time_unit}" if known else "none is known"
+        )
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit

@@ -46,11 +46,21 @@ class TradeoffCurve(TableRecord):
     certificates: tuple[Certificate, ...]
 
     _frame = "noise_gains horizons C_w C_v lam"
+    _answers = (
+        "horizons and gains of one certificate for each noise gain",
+        "proven: each by its certificate",
+        "{_good}",
+        "`.verify()` of each of `.certificates`",
+    )
+
+    def _good(self) -> str:
+        return f"the shortest horizon is {short(self.horizons.min())} {self.certificates[0].plant.time_unit}"
 
     def _rows(self) -> list[tuple[str, str]]:
         columns = zip(self.noise_gains, self.horizons, self.C_w, self.C_v, strict=True)
+        unit = self.certificates[0].plant.time_unit
         return [
-            (f"noise gain {short(b, 4)}", f"M > {short(M)}, C_w = {short(w, 3)}, C_v = {short(v, 3)}")
+            (f"noise gain {short(b, 4)}", f"M > {short(M)} {unit}, C_w = {short(w, 3)}, C_v = {short(v, 3)}")
             for b, M, w, v in columns
         ]
 

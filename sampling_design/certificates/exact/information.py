@@ -42,6 +42,15 @@ class InformationCurve(TableRecord):
     time_unit: str
 
     _frame = "time:t least"
+    _answers = (
+        "how much of the information that a certificate promises one window has",
+        "sampled: at {t.size} times",
+        "{_good}",
+        "`.verify()` of the certificate proves at least 1",
+    )
+
+    def _good(self) -> str:
+        return f"at least {short(self.least.min())} times what is promised"
 
     def _rows(self) -> list[tuple[str, str]]:
         at = int(np.argmin(self.least))

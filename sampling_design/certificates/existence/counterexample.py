@@ -78,12 +78,19 @@ class Counterexample(Record):
         M, rows, units = _lifted(self.plant, self.schedule)
         return _residual(M, rows, mu, (v / units).astype(complex)) <= RESIDUAL
 
+    _answers = (
+        "a schedule of the family on which no certificate holds",
+        "attained: a direction that no sample shows does not decay",
+        "equations hold within {residual:3}",
+        "`.verify()`",
+    )
+
     def _rows(self) -> list[tuple[str, str]]:
+        unit = self.plant.time_unit
         return [
-            ("gaps", short(self.schedule.gaps)),
+            ("gaps", f"{short(self.schedule.gaps)} {unit}"),
             ("unobservable eigenvalue", format_eigenvalue(self.eigenvalue, grain=1e-12 * abs(self.eigenvalue))),
-            ("eta", short(self.eta)),
-            ("residual", short(self.residual, 3)),
+            ("eta", f"{short(self.eta)} 1/{unit}"),
             ("reason", self.reason),
         ]
 

@@ -56,9 +56,14 @@ class PaperConstants(PlainRecord):
     constants: ConstantList
 
     _plain = "variant P1 P2 Qw R Qv eta constants{name value formula source}"
+    _answers = (
+        "Assumption 7 with the constants of the paper's proofs",
+        "{claim.evidence}",
+        "a horizon of more than {horizon} {plant.time_unit}",
+        "`.constants`: each with its formula and its source",
+    )
     _table = {
         "variant": "{variant}",
-        "horizon": "M > {horizon} {plant.time_unit}",
         "lambda": "{lam}",
         "rate": "{eta} 1/{plant.time_unit}",
     }
@@ -123,6 +128,7 @@ class ProofConstants(PaperConstants):
     split: ModalSplit
 
     _plain = f"{PaperConstants._plain} deviations"
+    _answers = (*PaperConstants._answers[:3], "`.certificate().verify()`")
 
     @cached_property
     def deviations(self) -> SigmaDeviations | None:

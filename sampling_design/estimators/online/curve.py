@@ -107,7 +107,16 @@ class EstimateCurve(Record):
     tube: StateTube | None
     measurements: Measurements
 
+    _answers = (
+        "estimates at the samples of a record and between them",
+        "{_evidence}",
+        "{estimates._last}",
+        "`.estimates.estimates[-1].interval().verify()`",
+    )
     _table = {"samples": "{measurements.__len__}", "points": "{estimates.__len__}"}
+
+    def _evidence(self) -> str:
+        return "nothing is proven between samples" if self.tube is None else "proven: the tube, if the bounds hold"
 
     def explain(self) -> str:
         """Say what holds the truth between samples."""

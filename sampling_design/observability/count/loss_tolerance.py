@@ -15,7 +15,7 @@ from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, moment, short
+from sampling_design.records.record import PlainRecord, counted, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -53,6 +53,7 @@ class LossTolerance(PlainRecord):
     periods : int
         Periods over which hidden sets were counted; 0 where only the zero count was used.
     claim : Claim
+    time_unit : str
     """
 
     lower: float
@@ -64,16 +65,29 @@ class LossTolerance(PlainRecord):
     hidden_times: Array
     periods: int
     claim: Claim
+    time_unit: str = "s"
 
+    _answers = (
+        "how often samples of a periodic schedule may be lost at random",
+        "{claim.evidence}",
+        "the expected squared error stays bounded below {lower}, and grows without bound from {upper} on",
+        "{_checked}",
+    )
     _table = {
-        "losses borne": "below {lower}",
-        "not borne": "from {upper}",
         "any schedule as dense": "below {limit}",
-        "growth": "{growth}",
-        "samples per time": "{density}",
-        "hidden together": "{hidden_times.size} samples in {periods} periods",
+        "growth": "{growth} 1/{time_unit}",
+        "samples": "{density} per {time_unit}",
+        "hidden together": "{_hidden}",
     }
-    _plain = "lower upper limit growth density period periods hidden_times claim"
+
+    def _checked(self) -> str:
+        where = "`zero_count_bound` says how many samples can miss a direction"
+        return "samples at `.hidden_times` miss one direction together" if self.hidden_times.size else where
+
+    def _hidden(self) -> str:
+        return f"{counted(self.hidden_times.size, 'sample')} in {counted(self.periods, 'period')}"
+
+    _plain = "lower upper limit growth density period periods hidden_times time_unit claim"
 
     def explain(self) -> str:
         """Say how many losses are borne, and which samples are worth moving."""
@@ -86,7 +100,7 @@ class LossTolerance(PlainRecord):
             f"{short(self.upper)} on the expected squared error grows without bound."
         )
         if self.hidden_times.size:
-            spent = "1 period" if self.periods == 1 else f"{self.periods} periods"
+            spent = counted(self.periods, "period")
             listed = ", ".join(moment(t, self.hidden_times) for t in self.hidden_times[:6]) + ", ..." * (
                 self.hidden_times.size > 6
             )
@@ -194,7 +208,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     lower, period = min(lower, upper), schedule.period
     return LossTolerance(
         lower=lower, upper=upper, limit=limit, growth=float(growth), density=density, period=period, hidden_times=times,
-        periods=periods, claim=claim,
+        periods=periods, claim=claim, time_unit=plant.time_unit,
     )  # fmt: skip
 
 

@@ -65,6 +65,15 @@ class LargestBox(PlainRecord):
     plant: UncertainPlant
 
     _plain = "share refuted low high worst closed claim"
+    _answers = (
+        "the largest share of the ranges of parameters within which every plant passes",
+        "{claim.evidence}",
+        "share {share}{_refuted}",
+        "the same question of the plant `.box`",
+    )
+
+    def _refuted(self) -> str:
+        return f"; a plant at {short(self.refuted)} fails" if self.worst is not None else ", none in the ranges fails"
 
     @property
     def box(self) -> UncertainPlant:
@@ -79,8 +88,7 @@ class LargestBox(PlainRecord):
         return Claim(f"{self.question} for every plant with {ranges}", assumptions=("constant parameters",))
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("share of the ranges", f"{short(self.share)} (proven)")]
-        rows += [(name, f"{short(low)} to {short(self.high[name])}") for name, low in self.low.items()]
+        rows = [(name, f"{short(low)} to {short(self.high[name])}") for name, low in self.low.items()]
         failing = "none in the ranges" if self.worst is None else f"{at_parameters(self.worst)} ({short(self.refuted)})"
         return [*rows, ("a plant that fails", failing), ("cells", str(self.cells))]
 

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
+from datetime import datetime, timedelta
 
 import matplotlib.axes
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, readable_unit
-from sampling_design.schedules.time_stamps import date_after, parse_date
+from sampling_design.schedules.time_stamps import date_after, parse_date, passed
 
 MEASURED = "#2b6398"
 PROVEN = "#20793e"
@@ -104,6 +105,28 @@ class _UnitLocator(MaxNLocator):
 
     def tick_values(self, vmin: float, vmax: float) -> list[float]:
         return [float(mark) / self.factor for mark in super().tick_values(vmin * self.factor, vmax * self.factor)]
+
+
+class _DateLocator(Locator):
+    """Marks at equal steps of a zone's clocks, counted from midnight of the day of `zero`, over changes of the clocks.
+
+    `unit` is the unit of the axis in seconds, `every` the step in days.
+    """
+
+    def __init__(self, zero: datetime, unit: float, every: float) -> None:
+        self.zero, self.unit, self.every = zero, unit, timedelta(days=every)
+
+    def __call__(self) -> list[float]:
+        assert self.axis is not None
+        low, high = self.axis.get_view_interval()
+        return self.tick_values(low, high)
+
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
+        midnight = self.zero.replace(hour=0, minute=0, second=0, microsecond=0)
+        ends = (date_after(self.zero, t * self.unit).replace(tzinfo=None) for t in sorted((vmin, vmax)))
+        first, last = ((end - midnight.replace(tzinfo=None)) // self.every for end in ends)
+        dates = (midnight + k * self.every for k in range(first, last + 2))  # Python counts on by the clocks of a zone
+        return sorted({passed(self.zero, date).total_seconds() / self.unit for date in dates})
 
 
 def _unit_label(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None, float]:
@@ -291,23 +314,20 @@ def dates(ax: matplotlib.axes.Axes, unit: str | None, origin: str | None) -> Non
     if origin is None or unit is None:
         return
     zero = parse_date("origin", origin, None)
-    day = 86400.0 / SECONDS[unit]
     low, high = ax.get_xlim()
-    count = (high - low) / day
+    count = (high - low) * SECONDS[unit] / 86400.0
     if not HOURS[0] / 24 <= count <= 4000:
         return
-    # ticks at midnight or at whole hours, at most eight of them
-    shift = (zero.hour + zero.minute / 60 + zero.second / 3600) / 24
+    # ticks at midnight or at whole hours of the zone, at most eight of them
     every = next(k for k in (*(h / 24 for h in HOURS), 1, 2, 7, 14, 28, 56, 112, 560) if count / k <= 8)
     form = "%a %H:%M" if every < 1 else "%a %d %b" if count <= 300 else "%d %b %Y"
 
     def said(t: float, _: int | None = None) -> str:
-        minutes = round((t / day + shift) * 1440)  # of the clock since midnight of the first day
-        return f"{date_after(zero, 60.0 * (minutes - round(shift * 1440))):{form}}"
+        return f"{date_after(zero, t * SECONDS[unit] + 30.0):{form}}"  # of the minute that is nearest
 
-    ax.xaxis.set_major_locator(MultipleLocator(every * day, offset=-shift * day))
+    ax.xaxis.set_major_locator(_DateLocator(zero, SECONDS[unit], every))
     ax.xaxis.set_major_formatter(FuncFormatter(said))
-    between = day / 4 if every >= 1 and count <= 4 else day if every == 7 else 0.0
+    between = 1 / 4 if every >= 1 and count <= 4 else 1.0 if every == 7 else 0.0
     if between:
-        ax.xaxis.set_minor_locator(MultipleLocator(between, offset=-shift * day))
+        ax.xaxis.set_minor_locator(_DateLocator(zero, SECONDS[unit], between))
     ax.set_xlabel(f"date, from {zero:%Y-%m-%d}")

@@ -1,5 +1,8 @@
 """Time axes have dates where the date of zero is known, and else numbers in a unit in which they are short."""
 
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
+
 import numpy as np
 import pytest
 
@@ -39,6 +42,42 @@ def test_dates_stay_dates():
     label, _, said = axis("s", 3 * 86400.0, origin="2026-03-02T00:00:00+00:00")
     assert label == "date, from 2026-03-02"
     assert said[0] == "Mon 02 Mar"
+
+
+@pytest.mark.parametrize("unit", ["s", "h", "d"])
+@pytest.mark.parametrize("change", ["2026-03-28T08:00", "2026-10-24T08:00"])  # clocks of Berlin: 29 March, 25 October
+@pytest.mark.parametrize("days", [2.5, 5.0, 30.0])
+def test_dates_stand_at_midnight_and_at_whole_hours_on_both_sides_of_a_change_of_clocks(unit, change, days):
+    own = {"s": 1.0, "h": 3600.0, "d": 86400.0}[unit]
+    ax = style.new_axes()
+    ax.set_xlim(0.0, days * 86400.0 / own)
+    style.dates(ax, unit, f"{change}[Europe/Berlin]")
+    zero = datetime.fromisoformat(change).replace(tzinfo=ZoneInfo("Europe/Berlin"))
+    low, high = ax.get_xlim()
+    offsets = set()
+    for ticks, every in ((ax.get_xticks(), 24), (ax.get_xticks(minor=True), 6 if days < 4 else 24)):
+        shown = [t for t in ticks if low <= t <= high]
+        dates = [(zero.astimezone(UTC) + timedelta(seconds=float(t) * own)).astimezone(zero.tzinfo) for t in shown]
+        assert {each.hour % every for each in dates} <= {0}
+        assert not {(each.minute, each.second) for each in dates} - {(0, 0)}
+        offsets |= {each.utcoffset() for each in dates}
+        texts = ax.xaxis.get_major_formatter().format_ticks(shown)
+        assert texts == [f"{each:%a %d %b}" for each in dates]
+    assert len(offsets) == 2
+
+
+def test_hours_are_not_marked_twice_where_clocks_skip_one():
+    ax = style.new_axes()
+    ax.set_xlim(0.0, 7.0)
+    style.dates(ax, "h", "2026-03-29T00:00[Europe/Berlin]")
+    ticks = [t for t in ax.get_xticks() if 0 <= t <= 7]
+    assert np.diff(ticks).tolist() == [1.0] * 7
+    assert ax.xaxis.get_major_formatter().format_ticks(ticks)[:4] == [
+        "Sun 00:00",
+        "Sun 01:00",
+        "Sun 03:00",
+        "Sun 04:00",
+    ]
 
 
 def test_a_time_without_a_unit_is_only_named():

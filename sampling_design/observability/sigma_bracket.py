@@ -82,13 +82,11 @@ class SigmaDeviations(Record):
         wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
         which = "" if self.lost_sample is None else f" (sample {self.lost_sample + 1})"
         looked = ", sampled" if self.sampled else ""
-        return [
-            (
-                f"if {self.tolerance.describe(self.time_unit)}",
-                f"{short(self.late)}; {short(self.late_wider)} in {wider}{looked}",
-            ),
-            ("if one sample is lost", short(self.lost) + which + looked),
-        ]
+        lost = ("if one sample is lost", short(self.lost) + which + looked)
+        if self.asked:  # sigma itself is then of such times
+            return [lost]
+        late = f"{short(self.late)}; {short(self.late_wider)} in {wider}{looked}"
+        return [(f"if {self.tolerance.describe(self.time_unit)}", late), lost]
 
     def explain(self) -> str:
         """Say what is left of sigma; of late samples only where they were not asked for."""

@@ -46,6 +46,14 @@ def test_a_log_says_what_the_plan_keeps(design):
     assert f"Of the plan: {log.planned_sigma.deviations.explain()}" in log.explain()
 
 
+def test_times_that_were_asked_for_are_not_named_twice():
+    kept = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5), timing_tolerance=0.05, rtol=0.2)
+    text = str(kept)
+    assert text.count("0.05 s early or late") == 2  # what it is about, and how samples come
+    assert "if up to" not in text
+    assert "if one sample is lost" in text
+
+
 def test_nothing_is_said_where_nothing_is_observed():
     stable = sd.design_schedule(sd.Plant([[-1.0]], [[1.0]]))
     assert stable.deviations is None

@@ -16,6 +16,8 @@ from .searching import tones
 from .seeing import loop_rows
 from .table import Table, duration, seconds_of
 
+LINES = ("o-", "s--", "^-", "D:", "v--")  # colours of evidence say nothing of times
+HOLLOW = "sD"
 Curves = dict[str, list[tuple[float, float]]]
 
 
@@ -130,9 +132,10 @@ def row(table: Table, curves: Curves, size: int, work: Sequence[Callable[[], Any
 def drawn(curves: Curves, label: str, log: bool = True) -> Any:
     """Return the figure of the curves; its title says how much longer the last size takes than the first."""
     ax = style.new_axes(width=8.0, height=3.6)
-    colours = (style.MEASURED, style.ATTAINED, style.PROVEN, style.FAILED, style.TRUTH)
-    for (name, points), colour in zip(curves.items(), colours, strict=False):
-        ax.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4, label=name)
+    for (name, points), line in zip(curves.items(), LINES, strict=False):
+        shade = style.ALLOWED if line[0] in HOLLOW else style.TRUTH
+        filled = "white" if line[0] in HOLLOW else None
+        ax.plot(*zip(*points, strict=True), line, color=shade, markerfacecolor=filled, markersize=5, label=name)
     ax.set(xlabel=label, ylabel="processor time [s]", yscale="log", xscale="log" if log else "linear")
     ax.grid(alpha=0.3)
     ax.set_title(grown(curves, label), loc="left", fontsize="medium")

@@ -28,7 +28,7 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
 from sampling_design.records.record import short
-from sampling_design.schedules.time_stamps import parse_date
+from sampling_design.schedules.time_stamps import parse_date, zoned_text
 
 if TYPE_CHECKING:
     from sampling_design.design.schedule_design import ScheduleDesign
@@ -119,7 +119,7 @@ def design(
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     if zone is not None and start is None:
         raise ArgumentError(f"`--zone` {zone} says where --start is local time: give --start DATE with it.")
-    zero = None if start is None else parse_date("--start", start, zone).isoformat()
+    zero = None if start is None else zoned_text(parse_date("--start", start, zone))
     requirement = _required(
         settings, requirement_file, window=window, period=period, spacing=spacing, samples=samples,
         target_sigma=target_sigma, cost_limit=cost_limit,

@@ -100,6 +100,9 @@ def compare(
     schedule = files.schedule_for(settings, plant, schedule_file)
     record = files.measurements(settings, measurement_file, plant, schedule.origin)
     files.check_origins(record, schedule)
+    whole, last = files.plan_in(schedule_file), float(np.max(record.times, initial=0.0))
+    if whole is not None and whole.requirement.calendar is not None:  # clocks change, and places are closed
+        schedule = whole.dates(1 + int(last // schedule.period), prove=False).schedule().in_unit(plant.time_unit)
     split = split_needed(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window, schedule)

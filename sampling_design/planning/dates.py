@@ -32,6 +32,7 @@ from sampling_design.records.record import ListRecord, PlainRecord, counted, sho
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
+from sampling_design.schedules.time_stamps import zoned_text
 
 DatedSample: TypeAlias = tuple[float, Mask]
 
@@ -114,7 +115,7 @@ class PlanDates(ListRecord[PlannedDate], PlainRecord):
             np.array([entry.time for entry in self.entries]),
             mask if len(mask) else None,
             time_unit=self.plan.plant.time_unit,
-            origin=self.plan.requirement.calendar.instant(0.0).isoformat(),
+            origin=zoned_text(self.plan.requirement.calendar.begun),
             output_names=names,
         )
 

@@ -88,8 +88,8 @@ class PlanRobustness(TableRecord, PlainRecord):
         )
         lost = f"{LOST[self.lost]} may be lost" if self.lost else "no sample may be lost"
         worst = float(np.max(self.lost_ratio))
-        after = f"the accuracy is then {100 * worst:.3g} % of the tolerance at worst" if np.isfinite(worst) else ""
-        return f"{text}; {lost}{'; ' if after else ''}{after}."
+        after = f": after one loss errors reach {100 * worst:.3g} % of the tolerance" if np.isfinite(worst) else ""
+        return f"{text}; {lost}{after}."
 
 
 RTOL = 0.005  # width of the brackets that prove a plan

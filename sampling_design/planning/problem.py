@@ -21,6 +21,7 @@ from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.opening import DAYS, week_hours
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.schedules.sensor import Sensor, duration, result_span
+from sampling_design.schedules.time_stamps import zoned_text
 
 WHOLE = 1e-6  # a time counts as a whole number of grid steps within this share of a step
 DEFAULT_STEPS = 96  # steps of a period without a grid
@@ -156,7 +157,7 @@ class PlanProblem:
     def schedule(self, chosen: Mask) -> PeriodicSchedule:
         """The periodic schedule of a choice."""
         at, calendar = np.flatnonzero(chosen.any(axis=1)), self.requirement.calendar
-        origin, unit = None if calendar is None else calendar.instant(0.0).isoformat(), self.plant.time_unit
+        origin, unit = None if calendar is None else zoned_text(calendar.begun), self.plant.time_unit
         names = self.plant.outputs.names
         return PeriodicSchedule.from_times(
             at * self.step, self.period, chosen[at], time_unit=unit, origin=origin, output_names=names

@@ -18,7 +18,7 @@ STYLE = """
 @page { size: A4 portrait; margin: 15mm; }
 body { font: 11pt/1.35 sans-serif; color: #111; margin: 1.5em auto; max-width: 190mm; }
 h1 { font-size: 15pt; margin: 0 0 .2em; } p { margin: .2em 0 .8em; }
-table { border-collapse: collapse; width: 100%; } thead { display: table-header-group; }
+table { border-collapse: collapse; width: 99.7%; } thead { display: table-header-group; }
 th, td { border: 1px solid #777; padding: .32em .5em; text-align: left; } th { background: #eee; }
 tr { break-inside: avoid; } td.value { min-width: 5em; } td.no { background: #ddd; }
 td.day { font-weight: bold; } td.blank { min-width: 7em; } .note { font-size: 9pt; color: #333; }

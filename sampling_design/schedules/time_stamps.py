@@ -103,8 +103,9 @@ def zoned_date(text: str) -> datetime:
 
 
 def zoned_text(date: datetime) -> str:
-    """Return a date as `zoned_date` reads it: with its zone, where that has a name."""
-    return date.isoformat() + (f"[{date.tzinfo.key}]" if isinstance(date.tzinfo, ZoneInfo) else "")
+    """Return a date as `zoned_date` reads it: with its zone, where that has a name and its clocks may change."""
+    named = isinstance(date.tzinfo, ZoneInfo) and date.tzinfo.key != "UTC"
+    return date.isoformat() + (f"[{date.tzinfo}]" if named else "")
 
 
 def date_after(zero: datetime, seconds: float) -> datetime:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.observability.alignment import align
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, sigma_of_pieces
@@ -24,6 +25,7 @@ from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import ON_TIME
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
+MOST_DATES = 8  # that a row of a table lists
 STRETCH = 4000  # samples whose windows are judged at a time: what is held does not grow with the record
 MATCHED = 50_000  # planned samples that are matched at a time, for the same reason
 AROUND = 400  # samples on either side of the worst window of a long record whose windows are shown
@@ -127,8 +129,8 @@ class ScheduleLog(TableRecord):
         away = np.abs(self.deviations[self.match >= 0])
         typical = spoken(float(np.median(away)), unit) if away.size else "-"
         rows = [
-            ("missed", f"{self.missed.size}" + (f" at {moment(self.missed)} {unit}" if self.missed.size else "")),
-            ("not planned", f"{self.extra.size}" + (f" at {moment(self.extra)} {unit}" if self.extra.size else "")),
+            ("missed", self._listed(self.missed)),
+            ("not planned", self._listed(self.extra)),
             ("an output missing", str(int(self.incomplete.sum()))),
             ("largest deviation", spoken(self.largest_deviation, unit)),
             ("median deviation", typical),
@@ -141,11 +143,19 @@ class ScheduleLog(TableRecord):
             rows.append(("sigma, actual", short(self.actual_sigma.lower)))
         return rows
 
+    def _listed(self, times: Array) -> str:
+        """How many times, and which: as dates where the plan has any."""
+        if not self.planned.origin or not times.size:
+            return f"{times.size}" + (f" at {moment(times)} {self.time_unit}" if times.size else "")
+        shown = [time_or_date(self.planned.origin, t, self.time_unit) for t in times[:MOST_DATES].tolist()]
+        return f"{times.size} at {', '.join(shown)}" + ", ..." * (times.size > MOST_DATES)
+
     def explain(self) -> str:
         """Say what the deviations cost."""
-        missed, planned, near = self.missed.size, len(self.planned), spoken(self.largest_deviation, self.time_unit)
+        missed, planned, away = self.missed.size, len(self.planned), self.largest_deviation
+        near = f"within {spoken(away, self.time_unit)} of" if away else "at"
         text = f"{missed} of {planned} planned samples were missed"
-        text += f", the others came within {near} of their times. " if missed < planned else ". "
+        text += f", the others came {near} their times. " if missed < planned else ". "
         if self.decays:
             return text + "Every mode decays by itself, so that no window needs a sample and no sigma is compared."
         if self.planned_sigma is None or self.actual_sigma is None:

@@ -165,6 +165,7 @@ def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_p
     (tmp_path / "filled.csv").write_text("\n".join([form[0], *taken, form[-1], ""]))
     log = shell("compare", "lab/out/plant.toml", "lab/out/dates.csv", "filled.csv")
     assert log.code == 0
+    assert "came at their times" in log.out
     bounds = ("--schedule", "lab/out/schedule.csv", "--w", 0.01, "--v", 0.1, "--initial-error", 5)
     done = shell("estimate", "lab/out/plant.toml", "filled.csv", *bounds, "-o", "lab/out")
     assert done.code == 0, done.err

@@ -241,3 +241,23 @@ def test_estimates_of_a_dated_plan_have_dates_of_its_zone(shell, tmp_path, month
     folder = shell("estimate", tmp_path, naive)
     assert folder.code == 2
     assert "plan.json?" in " ".join(folder.err.split())
+
+
+@pytest.mark.parametrize("start", ["2026-03-28", "2026-10-24"])
+def test_samples_on_the_dates_of_a_plan_are_on_time_after_a_change_of_clocks(shell, tmp_path, start):
+    plant = sd.Plant([[-0.02]], [[1.0]], time_unit="h", states=["level"], outputs=["probe"])
+    wanted = sd.PlanRequirement(
+        {"level": 2.0}, period=48.0, grid=8.0, w_bound=0.02, sensors={"probe": {"noise_bound": 0.1}},
+        calendar={"start": start, "zone": "Europe/Berlin"},
+    )  # fmt: skip
+    folder = sd.plan_samples(plant, wanted, search_seconds=1.0).save(tmp_path / "out")
+    head, *lines = (folder / "form.csv").read_text().splitlines()
+    local = [f"{line.split(',')[0][:16]},1.0" for line in lines]  # as it is typed: without an offset
+    (tmp_path / "filled.csv").write_text("\n".join([head, *local, "2026-12-01T12:00,1.0"]))
+    for planned in ("plan.json", "dates.csv"):
+        found = json.loads(
+            shell("compare", folder / "plan.json", folder / planned, tmp_path / "filled.csv", "--json").out
+        )
+        assert found["deviations"][: len(local)] == [0.0] * len(local)
+    said = shell("compare", folder / "plan.json", folder / "dates.csv", tmp_path / "filled.csv").out
+    assert "1 at 2026-12-01 12:00+01:00" in said

@@ -93,6 +93,10 @@ def test_round_trip_is_exact(tmp_path):
             "#\n" * 15 + "time,gauge,flow,pump\n0,1,high,0\n",
             "flow in line 17 is not a number: 'high'. Leave the cell empty",
         ),
+        (
+            'time,gauge,flow,pump\n0,"1,9",2,0\n',
+            r"gauge in line 2 is not a number: '1,9'\. Write 1\.9, or separate cells",
+        ),
         ("time,gauge,flow,pump\n0,nan,2,0\n", "gauge in line 2 is not a number: 'nan'"),
         ("time,gauge,flow,pump\n0,1,2,nan\n", "pump in line 2 is not a number"),
         ("time,gauge,flow,pump\nnoon,1,2,0\n", "time in line 2 is not a number: 'noon'"),

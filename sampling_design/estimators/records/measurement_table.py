@@ -371,6 +371,8 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
         hint = " Leave the cell empty if nothing was measured." if blank else ""
         if name == "time" and _is_date(cell):
             hint = " Dates stand in a column named date."
+        if (point := cell.replace(",", ".")) != cell and file_io.decimal(point) is not None:
+            hint = f" Write {point}, or separate cells by semicolons: then a comma is a decimal one."
         raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
     return value
 

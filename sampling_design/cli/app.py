@@ -80,6 +80,11 @@ def loaded(name: str) -> TyperCommand:
     return command
 
 
+def word_of(option: str) -> str:
+    """What an option is called in Python."""
+    return option.lstrip("-").replace("-", "_")
+
+
 class CommandsWhenCalled(TyperGroup):
     """The commands of the table, known by name and line until one of them is called."""
 
@@ -95,6 +100,18 @@ class CommandsWhenCalled(TyperGroup):
             raise ArgumentError(f"`{args[0]}` is called `{RENAMED[args[0]]}` now, with the same arguments.")
         name, command, rest = super().resolve_command(ctx, args)
         return name, None if command is None else loaded(str(name)), rest
+
+    def invoke(self, ctx: Any) -> object:
+        """Call the command; an option that has another name here is named."""
+        try:
+            return super().invoke(ctx)
+        except import_module(typer.BadParameter.__module__).NoSuchOption as error:
+            from sampling_design.records.checks import ELSEWHERE
+
+            known = {word_of(option): option for each in error.ctx.command.params for option in each.opts}
+            ours = [known[name] for name in ELSEWHERE.get(word_of(error.option_name), ()) if name in known]
+            error.possibilities = ours[:1] or error.possibilities
+            raise
 
     def format_commands(self, ctx: object, formatter: Any) -> None:
         """Write the lines of the commands, under the question that they answer."""

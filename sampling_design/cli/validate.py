@@ -28,6 +28,7 @@ from sampling_design.cli.sigma import window_length
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
+from sampling_design.records.units import time_factor
 
 
 def validate(
@@ -102,7 +103,8 @@ def compare(
     files.check_origins(record, schedule)
     whole, last = files.plan_in(schedule_file), float(np.max(record.times, initial=0.0))
     if whole is not None and whole.requirement.calendar is not None:  # clocks change, and places are closed
-        schedule = whole.dates(1 + int(last // schedule.period), prove=False).schedule().in_unit(plant.time_unit)
+        periods = 1 + int(last * time_factor(plant.time_unit, whole.plant.time_unit) // whole.schedule.period)
+        schedule = whole.dates(periods, prove=False).schedule().in_unit(plant.time_unit)
     split = split_needed(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window, schedule)

@@ -157,9 +157,10 @@ class ScheduleDesign(PlainRecord):
         if self.schedule is None:
             return Claim("no samples needed: nothing is retained", theorem="Theorem 16", strength="proven")
         times = (f"samples are {self.late.describe(self.plant.time_unit)}",) if self.late else ()
+        length = f"{short(self.requirement.window)} {self.plant.time_unit}"
         return Claim(
-            f"sigma >= {short(self.sigma)} over every window of length {short(self.requirement.window)}, and no "
-            f"admissible schedule with {self._counts} samples per period exceeds {short(self.upper_bound)}",
+            f"sigma >= {short(self.sigma)} over every window of {length}, and no admissible schedule with "
+            f"{self._counts} samples per period exceeds {short(self.upper_bound)}",
             theorem="Theorems 14 and 16; weak duality",
             assumptions=("the plant's matrices are exact", *times, f"sigma in {self.coordinates} coordinates"),
         )

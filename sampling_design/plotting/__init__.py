@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from importlib import import_module
 from pathlib import Path
@@ -9,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, CallError
 from sampling_design.records import file_io
-from sampling_design.records.checks import described
+from sampling_design.records.checks import described, meant
 from sampling_design.records.dispatch import register
 
 # record -> (file of this room, function), also for what is derived from it; one without a picture is not listed
@@ -70,7 +71,13 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
         raise ArgumentError(f"`record` has no picture: got {got}, expected one of {', '.join(sorted(_PICTURES))}.")
     _check_axes(ax)
     room, function = picture
-    return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax, **beside)
+    drawing = getattr(import_module(f"sampling_design.plotting.{room}"), function)
+    _, _, *known = inspect.signature(drawing).parameters
+    for key in beside:
+        if key not in known:
+            slip = meant(key, ["ax", *known])
+            raise CallError(f"`plot` of a {type(record).__name__} has no argument `{key}`. {slip}")
+    return drawing(record, ax, **beside)
 
 
 def _check_axes(ax: object) -> None:

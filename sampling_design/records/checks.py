@@ -21,8 +21,30 @@ from sampling_design.records.arrays import Array, Mask
 Instance = TypeVar("Instance")
 Seed: TypeAlias = np.random.Generator | int | None
 """What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
-ELSEWHERE = {"seed": "rng", "random_state": "rng", "Ts": "dt"}
-"""What other packages call an argument that has another name here."""
+_OTHERS = {
+    "rng seed": "seed random_state random_seed generator",
+    "dt step": "Ts sampling_time h",
+    "time_unit": "unit units timeunit",
+    "window horizon duration": "length T N span",
+    "eta decay_rate": "rate decay lam",
+    "rtol": "tol tolerance eps reltol",
+    "budget": "timeout seconds time_limit max_seconds",
+    "workers": "n_jobs jobs processes pool",
+    "progress": "callback verbose",
+    "path": "file filename fname",
+    "w_bound w_intensity": "w disturbance disturbance_bound",
+    "v_bound v_deviation": "v noise noise_bound",
+    "Qw w_intensity": "W Q",
+    "prior x0": "x0 initial_state mean",
+    "initial_error": "P0 prior_error",
+    "runs": "n_runs trials n_trials",
+    "samples count": "n_samples",
+    "samples": "count",
+    "gaps": "times",
+    "of": "rows wanted",
+}
+ELSEWHERE = {word: ours.split() for ours, theirs in _OTHERS.items() for word in theirs.split()}
+"""What other packages, and the field, call an argument that has another name here; the likeliest of ours first."""
 
 
 def freeze(array: object) -> Array:
@@ -378,6 +400,7 @@ def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
     return np.ldexp(1.0, exponent - 1), np.ldexp(np.ldexp(matrix, half[:, None]), half[None, :])
 
 
-def meant(key: str, known: Collection[str]) -> str:
-    """What a keyword that is not known may have meant: what other packages call so, else the nearest one."""
-    return f"Did you mean {ELSEWHERE[key]!r}?" if ELSEWHERE.get(key) in known else likely(key, known)
+def meant(key: str, known: Collection[str], slip: str = "") -> str:
+    """What a keyword that is not known may have meant: what other packages call so, `slip`, else the nearest one."""
+    ours = [name for name in ELSEWHERE.get(key, ()) if name in known]
+    return f"Did you mean {ours[0]!r}?" if ours else slip or likely(key, known)

@@ -41,21 +41,23 @@ def lazy(
         elif not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
             value = import_module(f"{package}.{name}")
         else:
-            raise _absent(package, name, public)
+            raise _absent(package, name, public, modules)
         setattr(sys.modules[package], name, value)
         return value
 
     return attribute, lambda: public, public
 
 
-def _absent(package: str, name: str, public: list[str]) -> AttributeError | ImportError:
-    """Return the error for a name that is not there, with the one that was probably meant."""
+def _absent(package: str, name: str, public: list[str], rooms: tuple[str, ...]) -> AttributeError | ImportError:
+    """Return the error for a name that is not there, with the one that was probably meant, or the room that has it."""
     message = f"module {package!r} has no attribute {name!r}"
     if name.startswith("_"):
         return AttributeError(message)
     from difflib import get_close_matches
 
-    close = get_close_matches(name, public, n=1)
+    own = [room for room in rooms if name in getattr(import_module(f"{package}.{room}"), "__all__", ())]
+    longer = [each for each in public if each.startswith(f"{name}_")]
+    close = [f"{room}.{name}" for room in own] or longer or get_close_matches(name, public, n=1)
     hint = f"; did you mean {close[0]!r}?" if close else ""
     # `from package import NAME` swallows an AttributeError with its words, and says only "cannot import name"
     importing = bool(hint) and sys._getframe(2).f_code.co_name == "_handle_fromlist"

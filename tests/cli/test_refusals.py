@@ -160,6 +160,17 @@ def test_an_earlier_name_of_a_command_leads_to_the_one_of_today(shell, earlier, 
     assert result.err == f"sampling-design: `{earlier}` is called `{today}` now, with the same arguments.\n"
 
 
+@pytest.mark.parametrize(
+    ("command", "typed", "meant"),
+    [("certify", "--rate", "--eta"), ("design", "--count", "--samples"), ("design", "--timeout", "--budget"),
+     ("validate", "--n-runs", "--runs"), ("design", "--random-state", "--seed"), ("design", "--spaceing", "--spacing")],
+)  # fmt: skip
+def test_an_option_that_has_another_name_here_is_named(shell, command, typed, meant):
+    result = shell(command, OSCILLATOR, OSCILLATOR, typed, 3)
+    assert result.code == 2
+    assert f"No such option: {typed} (Possible options: {meant})" in " ".join(result.err.split())
+
+
 def test_a_file_in_the_wrong_place_is_an_error_of_the_file():
     with pytest.raises(FileFormatError, match="is a plant file, expected a schedule file"):
         files.schedule(OSCILLATOR)

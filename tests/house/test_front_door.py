@@ -69,7 +69,15 @@ def test_an_unknown_name_is_refused():
 
 @pytest.mark.parametrize(
     ("typed", "meant"),
-    [("desing_schedule", "design_schedule"), ("plant", "plants"), ("MovingHorizonEstimater", "MovingHorizonEstimator")],
+    [
+        ("desing_schedule", "design_schedule"),
+        ("plant", "plants"),
+        ("MovingHorizonEstimater", "MovingHorizonEstimator"),
+        ("plan", "plan_samples"),
+        ("simulate", "simulate_record"),
+        ("four_horizons", "certificates.four_horizons"),
+        ("standard_deviation", "accuracy.standard_deviation"),
+    ],
 )
 def test_a_mistyped_name_suggests_the_right_one(typed, meant):
     with pytest.raises(AttributeError, match=f"has no attribute '{typed}'; did you mean '{meant}'"):

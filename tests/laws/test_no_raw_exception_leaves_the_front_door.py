@@ -12,6 +12,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import CallError
+from sampling_design.records.checks import ELSEWHERE
 from sampling_design.records.record import Record
 from tests import front_door
 from tests.cases import few
@@ -73,17 +74,39 @@ def test_a_keyword_that_is_mistyped_names_the_right_one(share):
     left = []
     for door in callables()[share::10]:
         thing = door.target()
-        if inspect.isclass(thing) and not issubclass(thing, Record) and "checked" not in vars(thing.__init__):
-            continue  # what a verb returns, plain: nobody makes one
-        longest = max(front_door.optional(door.name), key=len)
-        if any(each.kind is each.VAR_KEYWORD for each in inspect.signature(door.target()).parameters.values()):
+        if not refuses_words(thing):
             continue
+        longest = max(front_door.optional(door.name), key=len)
         with pytest.raises(CallError, match=r"has no argument `.*`\. (Did you mean|Known:)") as told:
             door.target()(**{f"{longest}z": 1})
         if len(longest) > 3 and f"Did you mean {longest!r}?" not in str(told.value):
             left.append(door.name)
     assert left == []
     assert len(callables()) > 150
+
+
+def refuses_words(thing):
+    """Whether a keyword that is not known ends in a sentence: not of plain records, which nobody makes, nor of `**`."""
+    plain = inspect.isclass(thing) and not issubclass(thing, Record) and "checked" not in vars(thing.__init__)
+    return not plain and all(each.kind is not each.VAR_KEYWORD for each in inspect.signature(thing).parameters.values())
+
+
+def test_what_other_packages_call_an_argument_names_ours():
+    left, tried = [], 0
+    for door in callables():
+        thing = door.target()
+        known = {*inspect.signature(thing).parameters}
+        for word, ours in ELSEWHERE.items():
+            meant = [each for each in ours if each in known]
+            if not meant or word in known or not refuses_words(thing):
+                continue
+            with pytest.raises(CallError) as told:
+                thing(**{word: 1})
+            tried += 1
+            if f"Did you mean {meant[0]!r}?" not in str(told.value):
+                left.append((door.name, word, str(told.value)))
+    assert left == []
+    assert tried > 300
 
 
 def test_wherever_a_generator_is_taken_its_seed_is():

@@ -189,7 +189,7 @@ def test_record_speaks_and_is_plain_data():
     assert data["samples"] == 2
     assert data["claim"]["strength"] == "proven"
     assert "any 2 distinct times" in data["claim"]["statement"]
-    assert bound.explain().startswith("Any 2 distinct times in a closed window of length 1 determine the state")
+    assert bound.explain().startswith("Any 2 distinct times in a closed window of 1 s determine the state")
     assert "samples by critical length  2" in str(bound)
     assert zero_count_bound(OSCILLATOR, 1.0).to_dict()["critical_length"] == pytest.approx(np.pi)
 

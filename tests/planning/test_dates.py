@@ -85,7 +85,8 @@ def test_a_sheet_promises_no_more_than_the_plan(week, dates, tmp_path):
     assert doubted.count("The tolerances are not kept around it.") == 1
     assert doubted.count("That the tolerances are kept around it was not proven.") == 1
     bears = PlanRobustness("h", np.zeros(1), np.array([2.0]), np.ones(1), np.ones(1), 1, np.array([0.9]))
-    said = "Any one sample may be 2 h late (judged in steps of 1 h); any one may be lost;"
+    said = "Any one sample may be 2 h late (judged in steps of 1 h); any one may be lost: after one loss "
+    said += "errors reach 90 % of the tolerance."
     assert f"Away from those days: {said}" in page(replace(week, robustness=bears))
     assert f"<p class='note'>{said}" in page(replace(week, robustness=bears), ())
 

@@ -158,10 +158,14 @@ class Estimate(PlainRecord):
         "radii": "{radii}",
         "status": "{status}",
         "certified": "{certified}",
-        "on schedule": "{on_schedule}",
+        "on schedule": "{_schedule}",
         "cost": "{cost}",
         "note": "{note:or }",
     }
+
+    def _schedule(self) -> bool | None:
+        """None of an estimate that was moved: the claim is about the one that was not, wherever its samples lie."""
+        return None if self.note == MOVED else self.on_schedule
 
     def interval(self, of: Wanted = None) -> Interval:
         """Return the values that the data and the bounds leave possible, for the states or for wanted rows.

@@ -220,7 +220,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
             **{f"{name} radius": self.radii[:, i] for i, name in enumerate(names)},
             "status": self.status,
             "certified": self.certified,
-            "on_schedule": self.on_schedule,
+            **({} if MOVED in self.notes else {"on_schedule": self.on_schedule}),  # see `Estimate.centred`
         }
 
     @property

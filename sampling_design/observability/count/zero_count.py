@@ -64,6 +64,7 @@ class ZeroCountBound(SampleCount):
     samples_least : int
         No fewer samples can do, wherever they are placed.
     claim : Claim
+    time_unit : str
     """
 
     value: float
@@ -77,6 +78,7 @@ class ZeroCountBound(SampleCount):
     samples_critical: int | None
     samples_least: int
     claim: Claim
+    time_unit: str = "s"
 
     _plain = (
         "value samples_needed order frequency_spread duration n_states n_outputs critical_length:_length "
@@ -88,7 +90,7 @@ class ZeroCountBound(SampleCount):
         return "infinite" if self.critical_length == np.inf else self.critical_length
 
     _answers = (
-        "how many samples in a window of {duration} determine the state, whatever their times",
+        "how many samples in a window of {duration} {time_unit} determine the state, whatever their times",
         "{claim.evidence}",
         "{samples} do ({binding}), fewer than {samples_least} never do",
         "`window_sigma` of any such schedule is positive",
@@ -97,8 +99,8 @@ class ZeroCountBound(SampleCount):
         "k*": "{value}",
         "samples needed": "{samples_needed}",
         "order r": "{order}",
-        "frequency spread": "{frequency_spread}",
-        "critical length": "{critical_length:or -}",
+        "frequency spread": "{frequency_spread} rad/{time_unit}",
+        "critical length": "{critical_length} {time_unit}",
         "samples by critical length": "{samples_critical:or -}",
     }
 
@@ -120,8 +122,8 @@ class ZeroCountBound(SampleCount):
         if not self.n_states:
             return "Nothing has to be observed: no samples needed."
         return (
-            f"Any {self.samples} distinct times in a closed window of length {short(self.duration)} determine the "
-            f"state ({self.binding}); fewer than {self.samples_least} never do."
+            f"Any {self.samples} distinct times in a closed window of {short(self.duration)} {self.time_unit} "
+            f"determine the state ({self.binding}); fewer than {self.samples_least} never do."
         )
 
 
@@ -206,7 +208,7 @@ def _record(
     n = plant.n_states
     below = length is not None and length * (1 - ROUNDING_GUARD) > T
     claim = Claim(
-        f"any {needed} distinct times in a closed window of length {short(T)} determine the state",
+        f"any {needed} distinct times in a closed window of {short(T)} {plant.time_unit} determine the state",
         "the paper, equation (29)",
         ("every mode is observable from some output", f"r = {order} and delta = {short(spread)} as computed"),
         citation="paper, equation (29)",
@@ -215,6 +217,7 @@ def _record(
     return ZeroCountBound(
         value=float(value), samples_needed=needed, order=order, frequency_spread=spread, duration=T, n_states=n,
         n_outputs=plant.n_outputs, critical_length=length, samples_critical=critical, samples_least=least, claim=claim,
+        time_unit=plant.time_unit,
     )  # fmt: skip
 
 

@@ -54,24 +54,28 @@ class ZeroCountOverBox(SampleCount):
     plant: UncertainPlant
 
     _answers = (
-        "how many samples in a window of {duration} determine the state of every plant of a box",
+        "how many samples in a window of {_long} determine the state of every plant of a box",
         "{claim.evidence}",
         "{samples_needed} do, wherever they lie",
         "`zero_count_bound` of the plant `.worst`",
     )
     _table = {
         "k*, at most": "{value}",
-        "frequency spread": "{attained} to {frequency_spread}",
+        "frequency spread": "{attained} to {frequency_spread} rad/{plant.nominal.time_unit}",
         "fastest plant": "{worst:or the nominal plant}",
     }
     _plain = "value samples_needed frequency_spread attained duration cells worst claim"
 
     @property
+    def _long(self) -> str:
+        return f"{short(self.duration)} {self.plant.nominal.time_unit}"
+
+    @property
     def claim(self) -> Claim:
         """What the count claims."""
         return Claim(
-            f"any {self.samples_needed} distinct times in a closed window of length {short(self.duration)} determine "
-            "the state of every plant of the box",
+            f"any {self.samples_needed} distinct times in a closed window of {self._long} determine the "
+            "state of every plant of the box",
             "the paper, equation (29), for each plant of the box",
             ("constant parameters in their ranges",),
             citation="paper, equation (29)",
@@ -80,8 +84,8 @@ class ZeroCountOverBox(SampleCount):
     def explain(self) -> str:
         """Say how many samples suffice, and for which plant they are needed."""
         return (
-            f"Any {self.samples_needed} distinct times in a closed window of length {short(self.duration)} determine "
-            f"the state of every plant of the box; the fastest has {at_parameters(self.worst)}."
+            f"Any {self.samples_needed} distinct times in a closed window of {self._long} determine the "
+            f"state of every plant of the box; the fastest has {at_parameters(self.worst)}."
         )
 
 

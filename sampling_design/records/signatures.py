@@ -224,7 +224,7 @@ def misfit(
     name = function.__qualname__.removesuffix(".__init__").rpartition("<locals>.")[2]
     own = bool(taken) and taken[0].name in ("self", "cls")
     if own and "." in name:  # by the class that was called, not by the one that defines the method
-        kind = given[0] if isinstance(given[0], type) else type(given[0])
+        kind = given[0] if inspect.isclass(given[0]) else type(given[0])
         name = f"{kind.__name__}.{function.__name__}"
     order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
     taken, given = taken[own:], given[own:]
@@ -251,7 +251,7 @@ def _of_a_part(key: str, hints: Mapping[str, object]) -> str:
     """The sentence for a keyword of a record that is itself an argument, one that is made and not returned; else ""."""
     for name, hint in hints.items():
         for kind in (hint, *typing.get_args(hint)):
-            made = isinstance(kind, type) and not getattr(kind, "_answers", ()) and name != "return"
+            made = inspect.isclass(kind) and not getattr(kind, "_answers", ()) and name != "return"
             fields = getattr(kind, "__dataclass_fields__", {}) if made else {}
             own = next((each for each in (key, *ELSEWHERE.get(key, ())) if each in fields), None)
             if own is not None:

@@ -9,7 +9,8 @@ import numbers
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, fields
-from typing import Any, TypeAlias, TypeGuard, TypeVar
+from inspect import isclass
+from typing import Any, TypeAlias, TypeGuard, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -400,7 +401,24 @@ def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
     return np.ldexp(1.0, exponent - 1), np.ldexp(np.ldexp(matrix, half[:, None]), half[None, :])
 
 
-def meant(key: str, known: Collection[str], slip: str = "") -> str:
-    """What a keyword that is not known may have meant: what other packages call so, `slip`, else the nearest one."""
+def meant(key: str, known: Collection[str], hints: Mapping[str, object] | None = None) -> str:
+    """What a keyword that is not known may have meant: what other packages call so, one of a record, the nearest one.
+
+    `hints` are the annotations of a function whose keyword it is.
+    """
+    if not known:
+        return "It takes none."
     ours = [name for name in ELSEWHERE.get(key, ()) if name in known]
-    return f"Did you mean {ours[0]!r}?" if ours else slip or likely(key, known)
+    return f"Did you mean {ours[0]!r}?" if ours else _of_a_part(key, hints or {}) or likely(key, known)
+
+
+def _of_a_part(key: str, hints: Mapping[str, object]) -> str:
+    """The sentence for a keyword of a record that is itself an argument, one that is made and not returned; else ""."""
+    for name, hint in hints.items():
+        for kind in (hint, *get_args(hint)):
+            made = isclass(kind) and not getattr(kind, "_answers", ()) and name != "return"
+            fields = getattr(kind, "__dataclass_fields__", {}) if made else {}
+            own = next((each for each in (key, *ELSEWHERE.get(key, ())) if each in fields), None)
+            if own is not None:
+                return f"It belongs to `{name}`: {kind.__name__}({own}=...)."
+    return ""

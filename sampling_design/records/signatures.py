@@ -23,7 +23,7 @@ import numpy as np
 
 from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import ELSEWHERE, described, meant
+from sampling_design.records.checks import described, meant
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -224,8 +224,7 @@ def misfit(
     name = function.__qualname__.removesuffix(".__init__").rpartition("<locals>.")[2]
     own = bool(taken) and taken[0].name in ("self", "cls")
     if own and "." in name:  # by the class that was called, not by the one that defines the method
-        kind = given[0] if inspect.isclass(given[0]) else type(given[0])
-        name = f"{kind.__name__}.{function.__name__}"
+        name = f"{getattr(given[0], '__name__', type(given[0]).__name__)}.{function.__name__}"
     order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
     taken, given = taken[own:], given[own:]
     every = (*taken, *_unpacked(hints_of(function), taken))
@@ -233,8 +232,7 @@ def misfit(
     placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
     for key in named:
         if key not in known:
-            slip = meant(key, known, _of_a_part(key, hints_of(function))) if known else "It takes none."
-            return CallError(f"`{name}` has no argument `{key}`. {slip}")
+            return CallError(f"`{name}` has no argument `{key}`. {meant(key, known, hints_of(function))}")
     if len(given) > len(placed):
         count = f"{len(placed)} argument{'s' * (len(placed) != 1)}"
         places = f" ({', '.join(placed)})" if placed else ""
@@ -245,18 +243,6 @@ def misfit(
     needed = [each.name for each in taken if each.name in known and each.default is each.empty]
     missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
     return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
-
-
-def _of_a_part(key: str, hints: Mapping[str, object]) -> str:
-    """The sentence for a keyword of a record that is itself an argument, one that is made and not returned; else ""."""
-    for name, hint in hints.items():
-        for kind in (hint, *typing.get_args(hint)):
-            made = inspect.isclass(kind) and not getattr(kind, "_answers", ()) and name != "return"
-            fields = getattr(kind, "__dataclass_fields__", {}) if made else {}
-            own = next((each for each in (key, *ELSEWHERE.get(key, ())) if each in fields), None)
-            if own is not None:
-                return f"It belongs to `{name}`: {kind.__name__}({own}=...)."
-    return ""
 
 
 def _unpacked(hints: dict[str, object], parameters: Sequence[inspect.Parameter]) -> list[inspect.Parameter]:

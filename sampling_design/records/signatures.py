@@ -223,8 +223,8 @@ def misfit(
     taken = list(inspect.signature(function).parameters.values())
     name = function.__qualname__.removesuffix(".__init__").rpartition("<locals>.")[2]
     own = bool(taken) and taken[0].name in ("self", "cls")
-    if own and "." in name:  # by the class that was called, not by the one that defines the method
-        name = f"{getattr(given[0], '__name__', type(given[0]).__name__)}.{function.__name__}"
+    kind = getattr(given[0], "__name__", type(given[0]).__name__) if own and "." in name else ""
+    name = f"{kind}.{function.__name__}" if kind else name
     order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
     taken, given = taken[own:], given[own:]
     every = (*taken, *_unpacked(hints_of(function), taken))
@@ -234,14 +234,12 @@ def misfit(
         if key not in known:
             return CallError(f"`{name}` has no argument `{key}`. {meant(key, known, hints_of(function))}")
     if len(given) > len(placed):
-        count = f"{len(placed)} argument{'s' * (len(placed) != 1)}"
-        places = f" ({', '.join(placed)})" if placed else ""
+        count, places = f"{len(placed)} argument{'s' * (len(placed) != 1)}", f" ({', '.join(placed)})" if placed else ""
         return CallError(f"`{name}` takes {count} by place{places}, got {len(given)}: the others have names.{order}")
-    for key in placed[: len(given)]:
-        if key in named:
-            return CallError(f"`{name}` got `{key}` twice, by place and by name.{order}")
-    needed = [each.name for each in taken if each.name in known and each.default is each.empty]
-    missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
+    for key in (each for each in placed[: len(given)] if each in named):
+        return CallError(f"`{name}` got `{key}` twice, by place and by name.{order}")
+    there = {*named, *placed[: len(given)]} | {each.name for each in taken if each.default is not each.empty}
+    missing = [f"`{each.name}`" for each in taken if each.name in known and each.name not in there]
     return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
 
 

@@ -31,7 +31,7 @@ from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, Progress
 
 _EPS = float(np.finfo(float).eps)
-_TINY = 1e-300
+_TINY = 1e-300  # added to sizes that are divided by and may be 0: factors of any size prove
 _FINEST = 4096  # cells of the finest grid of slacks
 _FEWEST_STATES = 5  # below, cells of directions are few
 _MOST_SAMPLES = 12  # beyond, times are too many

@@ -44,6 +44,29 @@ def test_bounding_boxes_are_the_same_in_any_units(row, unit):
     assert beside.bounding_box()[1] == pytest.approx(unit, rel=1e-6)  # x/unit <= y/unit <= 1
 
 
+@pytest.mark.parametrize("row", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("unit", [(1e-12, 1e-12), (1e-12, 1e12), (1.0, 1e-6), (1e12, 1.0)])
+@pytest.mark.parametrize(("side", "empty"), [(2.1, True), (2.0001, True), (1.9999, False), (0.5, False)])
+def test_a_set_is_empty_in_all_units_or_in_none(row, unit, side, empty):
+    """The triangle ends at 2; so does the ball, whose shape has its own unit."""
+    unit = np.array(unit)
+    beyond = ConvexSet.halfspaces(row * np.array([[-1.0, 0.0]]) / unit, [-row * side])
+    triangle = ConvexSet.halfspaces(TRIANGLE.rows / unit, TRIANGLE.offsets)
+    ball = ConvexSet.ball(row, centre=unit, shape=row * np.diag(1 / unit))
+    for one in (triangle, ball):
+        if empty:
+            with pytest.raises(ArgumentError, match="the set is empty: every point violates it by"):
+                one & beyond
+        else:
+            assert (one & beyond).dimension == 2
+
+
+def test_a_half_space_without_direction_is_all_or_nothing():
+    assert ConvexSet.halfspaces([[0.0, 0.0]], [1e-12]).contains([5.0, 5.0])
+    with pytest.raises(ArgumentError, match="the set is empty: every point violates it by"):
+        ConvexSet.halfspaces([[0.0, 0.0]], [-1e-12])
+
+
 def test_half_spaces_never_widen_a_box():
     box = ConvexSet.box([-1e-9, 0.0], [1e-9, 5.0])
     low, high = (box & ConvexSet.halfspaces([[1.0, 1.0]], [100.0])).bounding_box()

@@ -243,18 +243,30 @@ class ConvexSet(Record):
             return
         from sampling_design.numerics import conic_programs
 
+        units = _sizes_of_entries(*self._all_rows(), self.lower, self.upper)
         n, low, high = self.dimension, np.isfinite(self.lower), np.isfinite(self.upper)
-        rows = np.vstack([-np.eye(n)[low], np.eye(n)[high], self.rows, np.zeros((1, n))])
-        offsets = np.concatenate([-self.lower[low], self.upper[high], self.offsets, [1.0]])
+        rows, offsets = _of_norm_one(self.rows * units, self.offsets)
+        rows = np.vstack([-np.eye(n)[low], np.eye(n)[high], rows, np.zeros((1, n))])
+        offsets = np.concatenate([-(self.lower / units)[low], (self.upper / units)[high], offsets, [1.0]])
         blocks = [("nonnegative", np.column_stack([rows, -np.ones(len(rows))]), offsets)]  # the last: excess >= -1
+        sizes = [1.0, *np.abs(offsets)]
         for ball in self.balls:
-            matrix = np.vstack([np.zeros(n), -ball.shape])
-            bound = np.concatenate([[ball.radius], -ball.shape @ ball.centre])
+            largest = np.max(np.abs(ball.shape * units), initial=0.0) or ball.radius or 1.0
+            shape, radius = ball.shape * units / largest, ball.radius / largest
+            matrix = np.vstack([np.zeros(n), -shape])
+            bound = np.concatenate([[radius], -shape @ (ball.centre / units)])
             blocks.append(("second order", np.column_stack([matrix, -np.eye(len(matrix))[0]]), bound))
+            sizes += [radius, *np.abs(bound[1:])]
         found = conic_programs.solve_cone_program(np.eye(n + 1)[n], blocks)
-        size, excess = max([1.0, *np.abs(self.offsets), *(b.radius for b in self.balls)]), found.x[n]
-        if conic_programs.usable(found.record) and excess > EMPTY_MARGIN * size:
-            raise ArgumentError(f"the set is empty: every point violates it by {excess:.3g} or more.")
+        excess = found.x[n]
+        if conic_programs.usable(found.record) and excess > EMPTY_MARGIN * max(sizes):
+            raise ArgumentError(f"the set is empty: every point violates it by {excess:.3g} of its size or more.")
+
+    def _all_rows(self) -> tuple[Array, Array]:
+        """Half-spaces and rows of balls, and how large z may be by each of them, about: for scaling only."""
+        shapes = [ball.shape for ball in self.balls]
+        reach = [ball.radius + np.abs(ball.shape @ ball.centre) for ball in self.balls]
+        return np.vstack([self.rows, *shapes]), np.concatenate([self.offsets, *reach])
 
     def explain(self) -> str:
         """Say what bounds the set."""
@@ -318,21 +330,27 @@ def _linear_extent(rows: Array, offsets: Array, lower: Array, upper: Array) -> t
     from scipy.optimize import linprog
 
     units = _sizes_of_entries(rows, offsets, lower, upper)  # the solver's tolerances are absolute
-    scaled = rows * units
-    size = np.linalg.norm(scaled, axis=1)
-    size[size == 0] = 1.0
+    rows, offsets = _of_norm_one(rows * units, offsets)
     box = list(zip(lower / units, upper / units, strict=True))
     low, high = lower.copy(), upper.copy()
     for i in range(lower.size):
         for sign, side, inner in ((1.0, low, np.maximum), (-1.0, high, np.minimum)):
             cost = np.zeros(lower.size)
             cost[i] = sign
-            found = linprog(cost, A_ub=scaled / size[:, None], b_ub=offsets / size, bounds=box)
+            found = linprog(cost, A_ub=rows, b_ub=offsets, bounds=box)
             if found.status == 0:
                 value = sign * float(found.fun or 0.0)
                 # outward by the solver's own tolerance, so that nothing of the set is cut off
                 side[i] = inner(side[i], units[i] * (value - sign * 1e-7 * max(1.0, abs(value))))
     return low, high
+
+
+def _of_norm_one(rows: Array, offsets: Array) -> tuple[Array, Array]:
+    """The same half-spaces by rows of norm 1; of a row of zeros the offset is."""
+    size = np.linalg.norm(rows, axis=1)
+    size = np.where(size > 0, size, np.abs(offsets))
+    size[size == 0] = 1.0
+    return rows / size[:, None], offsets / size
 
 
 def _sizes_of_entries(rows: Array, offsets: Array, lower: Array, upper: Array) -> Array:

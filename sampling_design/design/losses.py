@@ -104,7 +104,7 @@ class SampleLosses(TableRecord):
             f"If the sample at {moment(self.times[i], self.times)} is {how}, sigma falls from {short(self.sigma)} "
             f"to {short(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
             f"{short(self.bound[i])}."
-            + ("" if self.deviations is None or self.deviations.asked else f" {self.deviations.explain()}")
+            + ("" if self.deviations is None or self.deviations.in_sigma else f" {self.deviations.explain()}")
         )
 
 

@@ -36,7 +36,7 @@ _LEAST_SHARE = 0.05  # of an equal share of the budget: with less than that a co
 _LEFT = table(
     {
         "tolerance": TIMING,
-        "asked": flag,
+        "in_sigma": flag,
         **dict.fromkeys(("late", "late_wider", "lost"), nonnegative),
         "lost_sample": or_nothing(count),
         "time_unit": text,
@@ -132,7 +132,7 @@ def _left(point: ParetoPoint) -> str:
     left = point.deviations
     if left is None:
         return ""
-    late = "" if left.asked else f"; {left.tolerance.describe(left.time_unit)}: {short(left.late)}"
+    late = "" if left.in_sigma else f"; {left.tolerance.describe(left.time_unit)}: {short(left.late)}"
     return f"{late}; one lost: {short(left.lost)}"
 
 

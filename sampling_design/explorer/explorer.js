@@ -13,7 +13,7 @@ const STYLE = `
 .sd button:hover, .sd button:focus-visible { background: #1f5fa8; color: #fff; } .sd button:disabled { opacity: 0.5; cursor: wait; }
 .sd .mark { cursor: grab; } .sd .mark:focus { outline: none; } .sd .mark:focus circle { stroke: #000; stroke-width: 3; }
 .sd .messages { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
-.sd .mend button { margin: 0 0 0 8px; padding: 1px 10px; } .sd .unknown { color: ${COLOUR.failed}; white-space: pre-wrap; } .sd .after { display: inline-block; margin-right: 14px; font-size: 13px; }
+.sd .repair button { margin: 0 0 0 8px; padding: 1px 10px; } .sd .unknown { color: ${COLOUR.failed}; white-space: pre-wrap; } .sd .after { display: inline-block; margin-right: 14px; font-size: 13px; }
 .sd .stale { opacity: 0.3; } .sd svg:empty { display: none; }
 .sd .hint { color: #595959; font-size: 13px; }`;
 
@@ -60,7 +60,7 @@ export async function mount(element, ask) {
   if (opened.words) html("p", { class: "words" }, root, opened.words);
   const line = node("svg", { role: "group", "aria-label": "samples of one period" }, root);
   const messages = html("p", { class: "messages", role: "status", "aria-live": "polite" }, root);
-  const mend = html("p", { class: "mend", role: "status" }, root);
+  const repair = html("p", { class: "repair", role: "status" }, root);
   const chart = node("svg", { class: "sigma", role: "img", "aria-label": "sigma over the window's position" }, root);
   const left = html("p", { class: "hint left", role: "status" }, root);
   const buttons = html("div", {}, root);
@@ -219,7 +219,7 @@ export async function mount(element, ask) {
 
   function drawSigma(answer) {
     messages.textContent = answer.error || answer.messages.join(" ");
-    mend.replaceChildren();
+    repair.replaceChildren();
     chart.replaceChildren();
     left.textContent = (!answer.error && answer.left && answer.left.said) || "";
     chart.setAttribute("viewBox", `0 0 ${WIDE} ${CHART + (narrow ? 66 : 50)}`);
@@ -305,12 +305,12 @@ export async function mount(element, ask) {
     return undefined;
   }
 
-  function drawMend(answer) {
-    mend.replaceChildren();
+  function drawRepair(answer) {
+    repair.replaceChildren();
     if (answer.error) return;
-    html("span", {}, mend, answer.said);
+    html("span", {}, repair, answer.said);
     if (answer.to === undefined) return;
-    const button = html("button", { type: "button", class: "move" }, mend, "Move it");
+    const button = html("button", { type: "button", class: "move" }, repair, "Move it");
     button.addEventListener("click", () => {
       const mark = marks.find((each) => Math.abs(each.t - answer.at) <= 1e-9 * period);
       if (mark) mark.t = answer.to;
@@ -334,7 +334,7 @@ export async function mount(element, ask) {
       drawSigma(answer);
       if (answer.error) return;
       const later = [];
-      if (answer.broken) later.push([{ ask: "mend", marks }, drawMend]);
+      if (answer.broken) later.push([{ ask: "repair", marks }, drawRepair]);
       if (errors) later.push([{ ask: "accuracy", marks }, drawAccuracy]);
       if (set) later.push([{ ask: "projection", marks }, drawProjection]);
       // one after the other, and none of them once a mark moves again

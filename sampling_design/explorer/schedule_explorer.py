@@ -48,7 +48,7 @@ state, no period misses a mode, and nobody need look for one."""
 
 MOST_MARKS = 400  # samples of a period beyond which a time line is no picture any more
 PLAN_SECONDS = 15.0  # seconds that the search of a plan may take on a press of its button; its proof comes on top
-MOVES = (0.05, 0.1, 0.2)  # shares of the mean gap by which a sample is moved to mend what broke, the smallest first
+MOVES = (0.05, 0.1, 0.2)  # shares of the mean gap by which a sample is moved to repair what broke, the smallest first
 MENDED = 0.5  # share of the best sigma among those moves that a smaller one must reach to be proposed
 MOST_POLYGONS = 6  # that are still distinguished
 MOST_MOVED = 6  # samples of a period up to which every one is tried
@@ -186,7 +186,7 @@ class ScheduleExplorer:
             "sigma": self._sigma,
             "moving": lambda: self._sigma(moving=True),
             "accuracy": self._accuracy,
-            "mend": self._mend,
+            "repair": self._repair,
             "projection": self._projection,
             "plan": self._plan,
             "design": self._design,
@@ -331,7 +331,7 @@ class ScheduleExplorer:
             who = f"The sample at {times[0]} of every period aliases"
         return [f"{who} the modes {' and '.join(names)}: they look alike in every window, however long one waits."]
 
-    def _mend(self) -> Reply:
+    def _repair(self) -> Reply:
         """The least move of one sample that brings back a good part of what a move can, and its sigma."""
         times, mask = np.sort(self.schedule.times % self.period), self.schedule.outputs
         order = np.argsort(self.schedule.times % self.period)
@@ -350,7 +350,7 @@ class ScheduleExplorer:
                     tried.append((found.lower, sign * share * step, k))
         best = max((sigma for sigma, _, _ in tried), default=0.0)
         if not best > 0:
-            return {"said": "No small move of one sample mends it: add one."}
+            return {"said": "No small move of one sample repairs it: add one."}
         sigma, by, k = next(one for one in tried if one[0] >= MENDED * best)
         move = f"Move the sample at {self._at(float(times[k]))} by {self._at(by, 2)}"
         said = f"{move}: sigma is then at least {short(sigma, 3)}."
@@ -474,7 +474,7 @@ class ScheduleExplorer:
 
 def _left(found: SigmaDeviations) -> Reply:
     """What is left of sigma if samples are late (where that was not asked for) or lost."""
-    return {"late": None if found.asked else found.late, "lost": found.lost, "said": found.explain()}
+    return {"late": None if found.in_sigma else found.late, "lost": found.lost, "said": found.explain()}
 
 
 def _modes_said(modes: Sequence[complex]) -> list[str]:

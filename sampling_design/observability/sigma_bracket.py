@@ -50,8 +50,8 @@ class SigmaDeviations(Record):
     lost_sample : int or None
         Which loss leaves that, counted from 0; None where it is that of any schedule of a family.
     time_unit : str
-    asked : bool
-        Whether the tolerance was asked for: sigma itself is then proven for such times.
+    in_sigma : bool
+        Whether sigma itself is then proven for such times.
     sampled : bool
         Whether these are the least of windows, times and losses that were looked at.
     """
@@ -62,14 +62,14 @@ class SigmaDeviations(Record):
     lost: float
     lost_sample: int | None
     time_unit: str
-    asked: bool = False
+    in_sigma: bool = False
     sampled: bool = False
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return {
             "tolerance": self.tolerance.plain,
-            "asked": self.asked,
+            "in_sigma": self.in_sigma,
             "late": self.late,
             "late_wider": self.late_wider,
             "lost": self.lost,
@@ -83,14 +83,14 @@ class SigmaDeviations(Record):
         which = "" if self.lost_sample is None else f" (sample {self.lost_sample + 1})"
         looked = ", sampled" if self.sampled else ""
         lost = ("if one sample is lost", short(self.lost) + which + looked)
-        if self.asked:  # sigma itself is then of such times
+        if self.in_sigma:  # sigma itself is then of such times
             return [lost]
         late = f"{short(self.late)}; {short(self.late_wider)} in {wider}{looked}"
         return [(f"if {self.tolerance.describe(self.time_unit)}", late), lost]
 
     def explain(self) -> str:
         """Say what is left of sigma; of late samples only where they were not asked for."""
-        if self.asked:
+        if self.in_sigma:
             return f"If one sample is lost, sigma is at least {short(self.lost)}."
         wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
         if self.sampled:

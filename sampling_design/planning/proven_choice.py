@@ -163,11 +163,11 @@ class FeasibleChoices:
         for chosen in choices:
             if best is not None and (self.work.over or cost(chosen) >= cost(best.chosen)):
                 break
-            best = self._mended(chosen, everything, best)
+            best = self._repaired(chosen, everything, best)
         assert best is not None
         return best
 
-    def _mended(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
+    def _repaired(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
         """More of what is allowed, spread out, until the tolerances are proven, as long as that is cheaper than `best`.
 
         It is asked for where a free response neither decays nor is observed well. Raises UndecidedError if

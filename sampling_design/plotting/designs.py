@@ -100,7 +100,7 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
     if (left := result.deviations) is not None:  # these are sigmas, the curve is of one state
         wider = f"{short(left.late, 4)}, {short(left.late_wider, 4)} in longer windows"
-        late = "" if left.asked else f"if late or early: {wider}; "
+        late = "" if left.in_sigma else f"if late or early: {wider}; "
         ax.set_title(f"{late}if one is lost: {short(left.lost, 4)}", loc="right", fontsize="small")
     style.legend(ax)
     return ax
@@ -156,7 +156,7 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     ax.plot(counts, sigma, "o-", color=style.PROVEN, linewidth=2.5, alpha=0.8, label="proven sigma of the design")
     deviations = [p.deviations for p in points]
     for key, words, line in _LEFT:
-        left = [np.nan if one is None or (one.asked and key == "late") else getattr(one, key) for one in deviations]
+        left = [np.nan if one is None or (one.in_sigma and key == "late") else getattr(one, key) for one in deviations]
         if np.isfinite(left).any():
             ax.plot(counts, left, line, color=style.PROVEN, linewidth=1.2, markersize=4, label=words)
             least.append(float(np.nanmin(left)))
@@ -180,7 +180,7 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
         said = f"{100 * (low / losses.sigma - 1):+.0f} %" if losses.sigma > 0 else ""
         ax.annotate(said, (t, low), xytext=(7, 0), textcoords="offset points", va="center", fontsize="small")
     top, least = max(losses.sigma, float(np.max(losses.bound))), float(min(np.min(losses.lower), losses.sigma))
-    if (left := losses.deviations) is not None and not left.asked:
+    if (left := losses.deviations) is not None and not left.in_sigma:
         label = f"with all, {left.tolerance.describe(left.time_unit)}: {short(left.late, 4)}"
         ax.axhline(left.late, color=style.PROVEN, linestyle="-.", linewidth=1.0, label=label)
         least = min(least, left.late)
@@ -200,7 +200,7 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
     if found is None:
         return np.inf
     color, looked = (style.ATTAINED, " (sampled)") if found.sampled else (style.PROVEN, "")
-    if not found.asked:
+    if not found.in_sigma:
         label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}{looked}"
         ax.axhline(found.late, color=color, linestyle="-.", linewidth=1.0, label=label)
     lost = f"if one sample is lost: {short(found.lost, 4)}{looked}"

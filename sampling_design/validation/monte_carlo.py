@@ -16,7 +16,7 @@ from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers, numbered
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
-from sampling_design.validation.worst_disturbance import Promise
+from sampling_design.validation.worst_disturbance import AprioriBound
 
 BLOCK = 64  # runs that are computed together. Fixed, since the rounding of a product may depend on how many share it
 
@@ -27,7 +27,7 @@ class RunBlock:
 
     found: ErrorMap
     bounds: ScenarioBounds
-    promise: Promise | None
+    apriori: AprioriBound | None
     measure: Array
     seeds: tuple[np.random.SeedSequence, ...]
 
@@ -48,16 +48,16 @@ class MonteCarloTrials(NamedTuple):
 def run_block(block: RunBlock) -> MonteCarloTrials:
     """Draw, apply and compare one block."""
     found, line = block.found, block.found.timeline
-    return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
+    return measured(found, block.apriori, block.measure, draw_inputs(line, block.bounds, block.seeds))
 
 
-def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: ErrorSources) -> MonteCarloTrials:
+def measured(found: ErrorMap, apriori: AprioriBound | None, measure: Array, inputs: ErrorSources) -> MonteCarloTrials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
     errors = found.apply(inputs)
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
     promised = np.full(size.shape[0], np.nan)
-    if promise is not None:
-        promised = np.max(ratio(promise.size(errors.e), promise.along(found.timeline, found.rows, inputs)), axis=1)
+    if apriori is not None:
+        promised = np.max(ratio(apriori.size(errors.e), apriori.along(found.timeline, found.rows, inputs)), axis=1)
     plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
     return MonteCarloTrials(size, promised, found.ellipsoid_ratio(errors), plain)
 
@@ -71,7 +71,7 @@ def ratio(observed: Array, promised: Array) -> Array:
 def monte_carlo(
     found: ErrorMap,
     bounds: ScenarioBounds,
-    promise: Promise | None,
+    apriori: AprioriBound | None,
     measure: Array,
     seeds: Sequence[np.random.SeedSequence],
     workers: Workers = None,
@@ -95,7 +95,7 @@ def monte_carlo(
         Where blocks are written down under `name` as they are finished; what it holds is not computed again.
     """
     blocks = [
-        RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
+        RunBlock(found, bounds, apriori, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
     ]
     known = {} if journal is None else journal.known
     parts = {k: known[f"{name} {k}"] for k in range(len(blocks)) if f"{name} {k}" in known}

@@ -35,7 +35,7 @@ from sampling_design.validation.scenario import (
 )
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
-from sampling_design.validation.worst_disturbance import Promise, promise_of, worst_disturbance, worst_energy
+from sampling_design.validation.worst_disturbance import AprioriBound, apriori_bound_of, worst_disturbance, worst_energy
 
 Seeds = Sequence[np.random.SeedSequence]
 
@@ -81,8 +81,8 @@ class ValidationStudy:
         self.horizon, self.begins = float(estimator.horizon), estimator.begins
         self.line = self._timeline(duration, self.horizon)
         self.map = build_error_map(self.line, estimator, bounds)
-        self.promise = self._promise(estimator)
-        self.measure = self.promise.root if self.promise is not None else np.diag(1 / plant.states.scales)
+        self.apriori = self._apriori(estimator)
+        self.measure = self.apriori.root if self.apriori is not None else np.diag(1 / plant.states.scales)
 
     @property
     def _certified(self) -> SampledCertificate:
@@ -101,7 +101,7 @@ class ValidationStudy:
         bounds = {"w_bound": self.bounds.w, "v_bound": self.bounds.v, "initial_error": self.bounds.e0}
         return MovingHorizonEstimator(plant or self.plant, self.certificate, **{**self.options, **bounds, **more})
 
-    def _promise(self, estimator: MovingHorizonEstimator) -> Promise | None:
+    def _apriori(self, estimator: MovingHorizonEstimator) -> AprioriBound | None:
         """The a-priori promise, if the estimator says that it is on the certificate's schedule all along."""
         if self.certificate is None:
             self.skipped.append("a-priori bounds and inequality (16): there is no certificate.")
@@ -113,7 +113,7 @@ class ValidationStudy:
                 self._find("a-priori bounds and inequality (16)", "not checked", 1.0, np.nan, note=note, checked=False)
                 return None
         filtered = estimator.arrival_cost == "filtered"
-        return promise_of(self.certificate, self.horizon, estimator.weights.cost, filtered)
+        return apriori_bound_of(self.certificate, self.horizon, estimator.weights.cost, filtered)
 
     def run(self, scenarios: Sequence[str], seeds: Seeds, workers: Workers, progress: Progress | None) -> None:
         """Run the scenarios in order."""
@@ -130,8 +130,8 @@ class ValidationStudy:
 
     def report(self, settings: dict[str, object]) -> ValidationReport:
         """Return what was found."""
-        bound = None if self.promise is None else np.sqrt(self._largest(self.promise))
-        norm = "states over their scales" if self.promise is None else f"|e|_P1, {self.promise.theorem}"
+        bound = None if self.apriori is None else np.sqrt(self._largest(self.apriori))
+        norm = "states over their scales" if self.apriori is None else f"|e|_P1, {self.apriori.theorem}"
         return ValidationReport(
             plant=self.plant,
             findings=tuple(self.findings),
@@ -144,17 +144,17 @@ class ValidationStudy:
             skipped=tuple(self.skipped),
         )
 
-    def _largest(self, promise: Promise) -> Array:
+    def _largest(self, apriori: AprioriBound) -> Array:
         b = self.bounds
-        noise_energies = [largest_square(weight, b.v) for weight in promise.sample_weights(self.line.masks)]
-        energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(noise_energies)
-        return promise.at_most(self.line, self.map.rows, energies)
+        noise_energies = [largest_square(weight, b.v) for weight in apriori.sample_weights(self.line.masks)]
+        energies = largest_square(apriori.prior, b.e0), largest_square(apriori.w, b.w), np.array(noise_energies)
+        return apriori.at_most(self.line, self.map.rows, energies)
 
     def _judge(self, scenario: str, trials: MonteCarloTrials, strength: Strength = "sampled") -> None:
         """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
         self.error_curves.append(ErrorCurve(scenario, trials.size.max(axis=0), np.median(trials.size, axis=0)))
-        if self.promise is not None:
-            worst, source = float(np.max(trials.promised)), self.promise.theorem
+        if self.apriori is not None:
+            worst, source = float(np.max(trials.promised)), self.apriori.theorem
             self._find(
                 "a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_median_text(trials)
             )
@@ -168,7 +168,7 @@ class ValidationStudy:
             times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="improved", length=self.horizon
         )
         worst = float(np.max(ratio(trials.plain.max(axis=0), found)))
-        self._find("Euclidean error bound", scenario, 1.0, worst, source=self.promise.theorem, strength=strength)  # type: ignore[union-attr]
+        self._find("Euclidean error bound", scenario, 1.0, worst, source=self.apriori.theorem, strength=strength)  # type: ignore[union-attr]
 
     def _ellipsoids(self, scenario: str, ratios: Array, at_samples: Array, strength: Strength = "sampled") -> None:
         worst, share = float(ratios.max()), float(np.mean(ratios <= 1 + ROUNDING))
@@ -182,7 +182,7 @@ class ValidationStudy:
         self.findings.append(Finding(claim, scenario, predicted, observed, sense, **rest))
 
     def _pairs(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        if self.promise is None:
+        if self.apriori is None:
             return
         span = 3 * max(self.horizon, float(np.max(np.diff(self.line.times[self.line.samples]), initial=0.0)))
         source = "Assumption 7, equation (16)"
@@ -192,26 +192,26 @@ class ValidationStudy:
 
     def _random(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         trials = monte_carlo(
-            self.map, self.bounds, self.promise, self.measure, seeds, workers, tell, journal=self.journal, name="random"
+            self.map, self.bounds, self.apriori, self.measure, seeds, workers, tell, journal=self.journal, name="random"
         )
         self._judge("random noise", trials)
 
     def _worst(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        if self.promise is not None:
-            self._worst_energy(self.map, self.promise)
+        if self.apriori is not None:
+            self._worst_energy(self.map, self.apriori)
         worst = worst_disturbance(self.map, self.bounds, self.measure)
-        self._judge("worst disturbance", measured(self.map, self.promise, self.measure, worst), "attained")
+        self._judge("worst disturbance", measured(self.map, self.apriori, self.measure, worst), "attained")
 
-    def _worst_energy(self, found: ErrorMap, promise: Promise, scenario: str = "worst energy") -> None:
-        largest, row, inputs = worst_energy(found, promise)
-        again = measured(found, promise, promise.root, inputs)
+    def _worst_energy(self, found: ErrorMap, apriori: AprioriBound, scenario: str = "worst energy") -> None:
+        largest, row, inputs = worst_energy(found, apriori)
+        again = measured(found, apriori, apriori.root, inputs)
         note = f"worst at {moment(found.rows.times[row])}; run forward: {short(again.promised[0])}"
         observed = max(largest, float(again.promised[0]))
-        self._find("a-priori bound", scenario, 1.0, observed, source=promise.theorem, strength="attained", note=note)
+        self._find("a-priori bound", scenario, 1.0, observed, source=apriori.theorem, strength="attained", note=note)
 
     def _resonant(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         inputs, names = resonant_inputs(self.line, self.bounds)
-        trials = measured(self.map, self.promise, self.measure, inputs)
+        trials = measured(self.map, self.apriori, self.measure, inputs)
         self._judge("resonant disturbance", trials)
         if self.line.times[-1] < SETTLED * self.horizon:
             self.skipped.append("growth under a resonant disturbance: the schedule ends within three horizons.")
@@ -225,20 +225,20 @@ class ValidationStudy:
 
     def _initial(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         inputs = initial_inputs(self.line, self.bounds)
-        self._judge("initial error", measured(self.map, self.promise, self.measure, inputs), "attained")
+        self._judge("initial error", measured(self.map, self.apriori, self.measure, inputs), "attained")
 
     def _paper(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        if self.promise is None or {"cost", "horizon"} & set(self.options):
+        if self.apriori is None or {"cost", "horizon"} & set(self.options):
             return
         estimator = self.estimator(cost=CostFunction(form="paper"))
         line = self._timeline(self.duration, float(estimator.horizon))
         found = build_error_map(line, estimator, self.bounds)
-        promise = promise_of(self._certified, float(estimator.horizon), "paper")
+        apriori = apriori_bound_of(self._certified, float(estimator.horizon), "paper")
         trials = monte_carlo(
             found,
             self.bounds,
-            promise,
-            promise.root,
+            apriori,
+            apriori.root,
             seeds[:PAPER_RUNS],
             workers,
             tell,
@@ -251,10 +251,10 @@ class ValidationStudy:
             "random noise, the paper's cost",
             1.0,
             worst,
-            source=promise.theorem,
+            source=apriori.theorem,
             note=_median_text(trials),
         )
-        self._worst_energy(found, promise, "worst energy, the paper's cost")
+        self._worst_energy(found, apriori, "worst energy, the paper's cost")
         self._ellipsoids("random noise, the paper's cost", trials.ellipsoid, trials.ellipsoid[:, found.rows.samples])
 
     def _short(self) -> tuple[Timeline, ErrorMap]:
@@ -308,11 +308,11 @@ class ValidationStudy:
             errors = np.array([run.errors(found.rows) for run in runs])
             if room:
                 self._agree(label, errors, expected)
-            elif self.promise is not None:
-                promised = self.promise.along(line, found.rows, inputs)
-                worst = float(np.max(ratio(self.promise.size(errors), promised)))
+            elif self.apriori is not None:
+                promised = self.apriori.along(line, found.rows, inputs)
+                worst = float(np.max(ratio(self.apriori.size(errors), promised)))
                 note = f"a constraint was active in {short(100 * _active(runs, found), 3)} % of the solves"
-                self._find("a-priori bound", label, 1.0, worst, source=self.promise.theorem, note=note)
+                self._find("a-priori bound", label, 1.0, worst, source=self.apriori.theorem, note=note)
             self._estimates_keep_promises(label, runs, found)
             tell(0.5, label)
 

@@ -17,7 +17,7 @@ from sampling_design.validation.timeline import Timeline
 
 
 @dataclass(frozen=True, eq=False)
-class Promise:
+class AprioriBound:
     """|root e(t)|^2 <= gain (e^{-rate t}|e0|^2_prior + int e^{-rate(t-s)}|w|^2_w ds + sum e^{-rate(t-tau)}|v|^2_v).
 
     `theorem` names its source.
@@ -67,9 +67,9 @@ class Promise:
         return np.asarray(np.sum((e @ self.root.T) ** 2, axis=-1))
 
 
-def promise_of(
+def apriori_bound_of(
     certificate: SampledCertificate, horizon: float, cost: str = "certificate", filtered: bool = False
-) -> Promise:
+) -> AprioriBound:
     """Return what a certificate promises of an estimator with its weights.
 
     The improved theorem for the certificate's own cost, Thm 9 for the paper's; with the arrival cost filtered the
@@ -78,14 +78,14 @@ def promise_of(
     if filtered:
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
         root = np.asarray(np.linalg.cholesky(certificate.P1).T)
-        return Promise("filtered arrival cost, full rate", root, *inside, rate=certificate.eta, gain=1.0)
+        return AprioriBound("filtered arrival cost, full rate", root, *inside, rate=certificate.eta, gain=1.0)
     found = certificate.horizon("improved" if cost == "certificate" else "paper", horizon)
     root = np.asarray(np.linalg.cholesky(certificate.P2 / found.lam).T)
     if cost == "certificate":
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
-        return Promise("improved horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)
+        return AprioriBound("improved horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)
     inside = certificate.P2, certificate.Qw, 2 * certificate.Qv
-    return Promise("Theorem 9", root, *inside, rate=found.eta_tilde, gain=4 * found.lam)
+    return AprioriBound("Theorem 9", root, *inside, rate=found.eta_tilde, gain=4 * found.lam)
 
 
 MOST_TARGETS = 60  # rows at which the worst energy is computed; they are spread evenly where there are more
@@ -137,7 +137,7 @@ def _through_window(found: ErrorMap, window: SolveWindow, functional: Array, res
     return functional
 
 
-def worst_energy(found: ErrorMap, promise: Promise) -> tuple[float, int, ErrorSources]:
+def worst_energy(found: ErrorMap, apriori: AprioriBound) -> tuple[float, int, ErrorSources]:
     """Return the worst ratio of |e|^2 to what is promised, over all e0, v and w constant on cells; its row and inputs.
 
         max e'P e / (|e0|^2 + int |w|^2 + sum |v|^2, each discounted)  =  lambda_max(P^1/2 (sum E D^-1 E') P^1/2)
@@ -149,39 +149,39 @@ def worst_energy(found: ErrorMap, promise: Promise) -> tuple[float, int, ErrorSo
     best: tuple[float, int, Array, ErrorSources] | None = None
     for row in chosen:
         parts = sensitivity(found, int(row))
-        total = sum(E @ D @ np.swapaxes(E, -1, -2) for E, D in _weighted(found, promise, int(row), parts))
-        values, vectors = np.linalg.eigh(promise.root @ total @ promise.root.T)
+        total = sum(E @ D @ np.swapaxes(E, -1, -2) for E, D in _weighted(found, apriori, int(row), parts))
+        values, vectors = np.linalg.eigh(apriori.root @ total @ apriori.root.T)
         if best is None or values[-1] > best[0]:
-            best = float(values[-1]), int(row), promise.root.T @ vectors[:, -1], parts
+            best = float(values[-1]), int(row), apriori.root.T @ vectors[:, -1], parts
     assert best is not None
     ratio, row, direction, parts = best
     e0, w, v = (
-        D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _promise_terms(found, promise, row, parts)
+        D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _bound_terms(found, apriori, row, parts)
     )
     return ratio, row, ErrorSources(*(part[None, ..., 0] for part in (e0, w, v)))
 
 
-def _promise_terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
+def _bound_terms(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
     """Each part with the inverse of its weight in the promise at that row."""
     line, t = found.timeline, found.rows.times[row]
-    inside, rate = line.times[1:] <= t * (1 + 1e-15), promise.rate
+    inside, rate = line.times[1:] <= t * (1 + 1e-15), apriori.rate
     faded = np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted_length(rate, line.lengths)
     cost = np.where(inside, faded, np.inf)
     decay = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
-    unit = np.linalg.inv(promise.w)
-    weights = promise.sample_weights(line.masks)
+    unit = np.linalg.inv(apriori.w)
+    weights = apriori.sample_weights(line.masks)
     blank = np.einsum("ja,ab->jab", 1 - line.masks, np.eye(line.masks.shape[1]))
     return [
-        (parts.e0, np.linalg.inv(promise.prior) * np.exp(rate * t) / promise.gain),
-        (parts.w, unit / cost[:, None, None] / promise.gain),
-        (parts.v, np.linalg.inv(weights + blank) * decay[:, None, None] / promise.gain),
+        (parts.e0, np.linalg.inv(apriori.prior) * np.exp(rate * t) / apriori.gain),
+        (parts.w, unit / cost[:, None, None] / apriori.gain),
+        (parts.v, np.linalg.inv(weights + blank) * decay[:, None, None] / apriori.gain),
     ]
 
 
-def _weighted(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
+def _weighted(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
     """The same as two-dimensional blocks, so that their sum is one matrix."""
     flat = []
-    for E, D in _promise_terms(found, promise, row, parts):
+    for E, D in _bound_terms(found, apriori, row, parts):
         if E.ndim == 2:
             flat.append((E, D))
         else:

@@ -64,7 +64,7 @@ def drag(page, mark, by, steps=12):
 def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
     visit(page, explorer(scene("pathological")))
     assert "alias the modes" in page.locator(".messages").text_content()
-    until(page, "document.querySelector('.mend').textContent.includes('Move the sample at')")
+    until(page, "document.querySelector('.repair').textContent.includes('Move the sample at')")
     assert proven(page) == pytest.approx(0.0, abs=1e-9)
     shot(page, "explorer-broken")
     curves = []
@@ -80,15 +80,15 @@ def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
     assert proven(page) > 0.1
     page.wait_for_selector(".accuracy path")
     assert "guaranteed within" in page.locator(".accuracy").text_content()
-    shot(page, "explorer-mended")
+    shot(page, "explorer-repaired")
     assert page.away == []
     assert page.broken == []
 
 
-def test_the_move_that_is_proposed_mends(explorer, page, shot):
+def test_the_move_that_is_proposed_repairs(explorer, page, shot):
     visit(page, explorer(scene("pathological")))
-    page.locator(".mend .move").click()
-    until(page, "document.querySelector('.messages').textContent === '' && !document.querySelector('.mend button')")
+    page.locator(".repair .move").click()
+    until(page, "document.querySelector('.messages').textContent === '' && !document.querySelector('.repair button')")
     assert proven(page) > 0.1
     shot(page, "explorer-moved")
 
@@ -142,7 +142,7 @@ def test_closed_hours_are_grey_and_a_sample_in_them_is_told(explorer, page, shot
 def test_the_newest_position_wins_and_one_question_is_under_way(explorer, page):
     """The first question of a drag is held back until the drag is over: only the last position follows it."""
     visit(page, explorer(scene("pathological")))
-    page.wait_for_selector(".mend .move")
+    page.wait_for_selector(".repair .move")
     until(page, "document.querySelector('.unknown').textContent !== ''")
     page.evaluate(
         """() => { const real = WebSocket.prototype.send; window.sent = []; window.answered = 0; window.most = 0;
@@ -281,7 +281,7 @@ def test_the_page_is_ready_and_follows_quickly(explorer, page):
     for _ in range(5):
         visit(page, address)
         opened.append(page.evaluate("window.ready"))
-    page.wait_for_selector(".mend .move")
+    page.wait_for_selector(".repair .move")
     until(page, "document.querySelector('.unknown').textContent !== ''")
     page.evaluate("window.took = []")
     for _ in drag(page, 1, -100, steps=40):

@@ -35,18 +35,18 @@ def test_what_broke_is_said_with_its_repair():
     assert told.startswith("The samples at 1 s and 4.142 s alias the modes")
     assert "±1i" in told
     assert found["broken"]
-    mend = bench.answer({"ask": "mend"})
-    assert "Move the sample at 1 s by" in mend["said"]
-    moved = bench.answer({"ask": "sigma", "marks": marks(mend["to"], 1.0 + np.pi)})
+    repair = bench.answer({"ask": "repair"})
+    assert "Move the sample at 1 s by" in repair["said"]
+    moved = bench.answer({"ask": "sigma", "marks": marks(repair["to"], 1.0 + np.pi)})
     assert moved["messages"] == []
     assert not moved["broken"]
-    assert f"at least {moved['lower']:.3g}" in mend["said"]
+    assert f"at least {moved['lower']:.3g}" in repair["said"]
     best = max(bench.answer({"ask": "sigma", "marks": marks(1.0 + d, 1.0 + np.pi)})["lower"] for d in (-0.8, 0.8))
     assert moved["lower"] > 0.35 * best
     assert bench.answer({"ask": "sigma", "marks": marks(1.0, 2.5)})["messages"] == []
     (told,) = bench.answer({"ask": "sigma", "marks": marks(1.0)})["messages"]
     assert told.startswith("The sample at 1 s of every period aliases the modes")
-    assert "add one" in bench.answer({"ask": "mend"})["said"]
+    assert "add one" in bench.answer({"ask": "repair"})["said"]
 
 
 def test_while_a_mark_moves_the_same_is_said_as_where_it_rests():
@@ -114,7 +114,7 @@ def test_nothing_that_small_moves_mend_says_so():
         slow, sd.Requirement(window=4.0, period=4.0), sd.PeriodicSchedule([2.0, 2.0], time_unit="s")
     )
     assert "observable from no sample" in bench.answer({"ask": "sigma"})["messages"][0]
-    assert bench.answer({"ask": "mend"})["said"] == "No small move of one sample mends it: add one."
+    assert bench.answer({"ask": "repair"})["said"] == "No small move of one sample repairs it: add one."
 
 
 def test_a_tolerance_that_is_not_kept_says_when():

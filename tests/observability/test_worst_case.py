@@ -398,7 +398,7 @@ def test_what_a_rule_keeps_of_sigma_holds_for_late_and_lost_samples(plant):
     sigma = worst_case_sigma(plant, family)
     found = sigma.deviations
     d = found.tolerance.radius
-    assert (d, found.lost_sample, found.asked) == (0.005, None, False)
+    assert (d, found.lost_sample, found.in_sigma) == (0.005, None, False)
     assert 0 < found.late == found.lost < found.late_wider < sigma.lower
     assert found.late_wider > 0.97 * sigma.lower  # no cliff there
     for _ in range(4):
@@ -424,7 +424,7 @@ def test_a_rule_with_no_sample_to_spare_keeps_nothing():
 
 def test_a_rule_for_late_samples_says_only_what_a_lost_one_leaves():
     found = worst_case_sigma(oscillators(1.0), SpacedWindows(4.0, 4, 0.5), timing_tolerance=(0.0, 0.1))
-    assert found.deviations.asked
+    assert found.deviations.in_sigma
     assert found.deviations.late == found.lower
     assert found.deviations.lost == worst_case_sigma(oscillators(1.0), SpacedWindows(4.1, 3, 0.4)).lower
     assert found.explain().endswith(f" If one sample is lost, sigma is at least {found.deviations.lost:.6g}.")

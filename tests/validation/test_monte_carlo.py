@@ -10,7 +10,7 @@ from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.monte_carlo import BLOCK, monte_carlo, ratio
 from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.worst_disturbance import promise_of
+from sampling_design.validation.worst_disturbance import apriori_bound_of
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
 PLANT, BOUNDS = PLANTS["oscillator"], ScenarioBounds.of(PLANTS["oscillator"])
@@ -20,8 +20,8 @@ def setting():
     noise = {"w_bound": BOUNDS.w, "v_bound": BOUNDS.v, "initial_error": BOUNDS.e0}
     mhe = MovingHorizonEstimator(PLANT, certificate("oscillator"), **noise)
     line = build_timeline(PLANT, SCHEDULES["oscillator"], 12.0, mhe.horizon)
-    promise = promise_of(certificate("oscillator"), mhe.horizon)
-    return build_error_map(line, mhe, BOUNDS), BOUNDS, promise, promise.root
+    apriori = apriori_bound_of(certificate("oscillator"), mhe.horizon)
+    return build_error_map(line, mhe, BOUNDS), BOUNDS, apriori, apriori.root
 
 
 def test_a_run_depends_on_its_own_seed_alone():

@@ -8,7 +8,7 @@ from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.worst_disturbance import promise_of, sensitivity, worst_disturbance, worst_energy
+from sampling_design.validation.worst_disturbance import apriori_bound_of, sensitivity, worst_disturbance, worst_energy
 from tests.oracles.validation import promised
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
@@ -27,7 +27,7 @@ def built(name, kind, duration=6.0):
         bounds,
         line,
         build_error_map(line, mhe, bounds),
-        promise_of(certificate(name), mhe.horizon, cost, kind == "carried"),
+        apriori_bound_of(certificate(name), mhe.horizon, cost, kind == "carried"),
     )
 
 
@@ -52,16 +52,16 @@ def test_sensitivity_is_the_response_to_each_single_input(name, kind):
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_worst_energy_is_the_largest_eigenvalue_and_is_attained(name, kind):
-    _, line, found, promise = built(name, kind)
-    ratio, row, inputs = worst_energy(found, promise)
+    _, line, found, apriori = built(name, kind)
+    ratio, row, inputs = worst_energy(found, apriori)
     errors = found.apply(inputs)
-    ratios = promise.size(errors.e) / promise.along(line, found.rows, inputs)
+    ratios = apriori.size(errors.e) / apriori.along(line, found.rows, inputs)
     assert ratio == pytest.approx(ratios[0, row], rel=1e-9)
     assert ratios.max() <= ratio * (1 + 1e-9)
     assert ratio <= 1.0
     units = unit_inputs(line)
-    response = found.apply(units).e[:, row] @ promise.root.T
-    weights = promise.along(line, found.rows, units)[:, row]
+    response = found.apply(units).e[:, row] @ apriori.root.T
+    weights = apriori.along(line, found.rows, units)[:, row]
     free = weights > 0
     # with several outputs or disturbances the weights here are diagonal, so that single inputs do not interact
     full = (response[free] / weights[free, None]).T @ response[free]
@@ -69,34 +69,34 @@ def test_worst_energy_is_the_largest_eigenvalue_and_is_attained(name, kind):
 
 
 def test_the_promise_agrees_with_plain_quadrature():
-    bounds, line, found, promise = built("two outputs", "certificate")
+    bounds, line, found, apriori = built("two outputs", "certificate")
     inputs = draw_inputs(line, bounds, np.random.SeedSequence(4).spawn(2))
-    mine = promise.along(line, found.rows, inputs)
+    mine = apriori.along(line, found.rows, inputs)
     samples = line.times[line.samples]
     for row in (0, 7, found.rows.samples[1], found.rows.samples[-1]):
         t = found.rows.times[row]
         heard = samples if found.rows.after[row] else samples[samples < t]
-        shape = promise.prior, promise.w, promise.v, promise.rate, promise.gain
+        shape = apriori.prior, apriori.w, apriori.v, apriori.rate, apriori.gain
         noise = inputs.e0[1], inputs.w[1], inputs.v[1][: heard.size]
         assert mine[1, row] == pytest.approx(promised(line.times, heard, *shape, *noise, t), rel=1e-6)
-    largest = promise.at_most(
+    largest = apriori.at_most(
         line,
         found.rows,
         (
-            bounds.e0**2 * np.linalg.eigvalsh(promise.prior)[-1],
-            bounds.w**2 * np.linalg.eigvalsh(promise.w)[-1],
-            np.full(samples.size, bounds.v**2 * np.linalg.eigvalsh(promise.v)[-1]),
+            bounds.e0**2 * np.linalg.eigvalsh(apriori.prior)[-1],
+            bounds.w**2 * np.linalg.eigvalsh(apriori.w)[-1],
+            np.full(samples.size, bounds.v**2 * np.linalg.eigvalsh(apriori.v)[-1]),
         ),
     )
     assert np.all(mine <= largest * (1 + 1e-12))
 
 
 def test_worst_push_reaches_the_support_of_the_bounds():
-    bounds, _, found, promise = built("unstable", "certificate")
-    inputs = worst_disturbance(found, bounds, promise.root)
+    bounds, _, found, apriori = built("unstable", "certificate")
+    inputs = worst_disturbance(found, bounds, apriori.root)
     errors = found.apply(inputs).e
     row = int(found.rows.samples[-1])
-    parts, axis = sensitivity(found, row), promise.root[0]
+    parts, axis = sensitivity(found, row), apriori.root[0]
     reach = sum(
         float(b) * np.sum(np.linalg.norm(np.swapaxes(E, -1, -2) @ axis, axis=-1))
         for b, E in zip((bounds.e0, bounds.w, bounds.v), parts, strict=True)

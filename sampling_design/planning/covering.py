@@ -273,9 +273,14 @@ def _is_whole(problem: PlanProblem) -> bool:
 
 
 def cheapest(
-    covering: CoveringRows, model: CoveringProgram, tie: Array, work: Budget, below: float = np.inf, nodes: int = NODES,
+    covering: CoveringRows,
+    model: CoveringProgram,
+    tie: Array,
+    work: Budget,
+    below: float = np.inf,
+    nodes: int = NODES,
     within_limits: bool = False,
-) -> tuple[Mask | None, bool]:  # fmt: skip
+) -> tuple[Mask | None, bool]:
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 
     `tie` is a small cost that decides among choices of equal price; only those `below` a cost are of use. That is a row

@@ -163,7 +163,9 @@ class PlanSearch:
             if self.late:
                 return None
             few = self._few(level)
-            chosen, none = (few.chosen, few.none) if few is not None else self._candidate(keys, level, decide=True)
+            chosen, none = (
+                (few.chosen, few.none) if few is not None else self._candidate(keys, level, within_limits=True)
+            )
             if none:
                 self.out_of_reach = max(self.out_of_reach, level)
                 self.keys = keys
@@ -187,20 +189,26 @@ class PlanSearch:
         return None
 
     def _candidate(
-        self, keys: list[Key], level: float, below: float = np.inf, *, decide: bool = False
+        self, keys: list[Key], level: float, below: float = np.inf, *, within_limits: bool = False
     ) -> tuple[Mask | None, bool]:
         """The cheapest choice that sees every trajectory of the pool; only those below a cost are of use.
 
-        `decide`: any choice within the limits.
+        `within_limits`: any choice that the limits admit.
         """
         while True:
             model = self.covering.model(self.pool.trajectories, keys, level, self.undetected_at)
             asked = slice(first := self.covering.frame[0].shape[0], first + len(keys) + len(self.undetected_at))
             more = np.asarray(model.A[asked].sum(axis=0)).ravel()
             least = self.covering.grain or float(np.max(model.c, initial=model.unit))
-            tie = -(1.0 if decide else TIE) * least * more / max(1.0, float(more.max(initial=0.0)))
+            tie = -(1.0 if within_limits else TIE) * least * more / max(1.0, float(more.max(initial=0.0)))
             chosen, none = cheapest(
-                self.covering, model, tie, self.oracle.work, below, FEW_NODES if self.stochastic else NODES, decide
+                self.covering,
+                model,
+                tie,
+                self.oracle.work,
+                below,
+                FEW_NODES if self.stochastic else NODES,
+                within_limits,
             )
             if chosen is None:
                 return None, none

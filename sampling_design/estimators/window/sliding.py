@@ -345,8 +345,7 @@ class SlidingBand:
         if arrival is None:
             return None
         information, band = arrival
-        count = len(known)
-        rows = slice(first, count)
+        count, rows = len(known), slice(first, len(known))
         right = self._pull[rows] + self._pull_before[rows]
         moved = flow.F.dot(x) + drift - self._reference[first]
         g = information.dot(moved * d)

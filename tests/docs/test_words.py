@@ -13,7 +13,7 @@ REPLACED = re.compile(
 )
 PAGES = [
     ROOT / "README.md",
-    *(p for p in (ROOT / "docs").rglob("*.md") if not {"_build", "made"} & set(p.parts) and p.name != "changelog.md"),
+    *(p for p in (ROOT / "docs").rglob("*.md") if not {"_build", "made"} & set(p.parts)),
     *(ROOT / "sampling_design").rglob("README.md"),
     *(ROOT / "examples").rglob("*.md"),
     *(ROOT / "examples").rglob("*.ipynb"),

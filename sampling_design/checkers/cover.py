@@ -9,9 +9,8 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-from .family_file import Family, GapRange, Graph, Jitter, LostSamples, OutputJitter, SpacedWindows
+from .family_file import Family, GapRange, Graph, Jitter, LostSamples, SpacedWindows
 from .outcome import Refused
-from .schedule_file import Times
 
 Word = tuple[Fraction, ...]
 
@@ -74,28 +73,14 @@ def spaced_windows(family: SpacedWindows, graph: Graph) -> None:
     gaps(graph, spacing, most)
 
 
-def phases(nominal: Times, word: Word, u: int) -> list[int]:
-    """Which samples of the nominal period may come next at a node."""
-    return [(int(word[0]) + 1) % nominal.gaps.size] if u else list(range(nominal.gaps.size))
-
-
-def patterns(nominal: Times) -> list[tuple[bool, ...]]:
-    """What each sample of the nominal period measures."""
-    return [tuple(map(bool, row)) for row in nominal.measured]
-
-
 def lost_samples(family: LostSamples, graph: Graph) -> None:
     """Words are the phase and which of the last samples were lost (1), newest first; less than that may be said."""
-    nominal, words = family.nominal, [exact(word) for word in graph.words]
-    lengths, reach, measured = (
-        [Fraction(g) for g in nominal.gaps],
-        [Fraction(r) for r in nominal.reach],
-        patterns(nominal),
-    )
-    lost = tuple([False] * nominal.measured.shape[1])
+    nominal, words, N = family.nominal, [exact(word) for word in graph.words], family.nominal.gaps.size
+    lengths, reach = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach]
+    measured, lost = [tuple(row) for row in nominal.measured.tolist()], (False,) * nominal.measured.shape[1]
     for u, word in enumerate(words):
         bits, moves = word[1:], dict[tuple[int, bool], list[tuple[Fraction, Fraction]]]()
-        for j in phases(nominal, word, u):
+        for j in [(int(word[0]) + 1) % N] if u else range(N):
             moves[j, False] = []
             if sum(bits[: family.of - 1]) < family.most:
                 moves[j, True] = []
@@ -112,32 +97,8 @@ def lost_samples(family: LostSamples, graph: Graph) -> None:
             need(covers(parts, low, high), u, f"sample {j} of the period, {'lost' if bit else 'taken'}")
 
 
-def jitter(family: Jitter, graph: Graph) -> None:
-    """Words are the phase and the ends of the last deviation from the nominal time."""
-    nominal, radius, words = family.nominal, Fraction(family.timing_tolerance), [exact(word) for word in graph.words]
-    lengths, reach, measured = (
-        [Fraction(g) for g in nominal.gaps],
-        [Fraction(r) for r in nominal.reach],
-        patterns(nominal),
-    )
-    for u, word in enumerate(words):
-        cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(nominal, word, u)}
-        for edge in graph.leaving(u):
-            phase, a, b = words[edge.target]
-            j, what = int(phase), f"the edge to node {edge.target} is no sample of the period that may follow"
-            need(j in cells and edge.outputs == measured[j], u, what)
-            low, high = (
-                (lengths[j] + a - word[2], lengths[j] + b - word[1]) if u else (Fraction(0), reach[j] + radius + b)
-            )
-            wide = edge.low <= max(low, Fraction(0)) and high <= edge.high
-            need(wide, u, f"the edge to node {edge.target} leaves out gaps of that deviation")
-            cells[j].append((a, b))
-        for j, parts in cells.items():
-            need(covers(parts, -radius, radius), u, f"deviations of sample {j} of the period")
-
-
 def orders(read: list[list[int]], word: Word, u: int) -> list[tuple[int, int, Word]]:
-    """Which output of which sample may be read next at a node, and which of that sample are then yet to be read."""
+    """Which reading of which sample may come next at a node, and which of that sample are then yet to come."""
     if not u:  # a window may start between two readings of a sample
         whole = enumerate(read)
         parts = [
@@ -151,12 +112,13 @@ def orders(read: list[list[int]], word: Word, u: int) -> list[tuple[int, int, Wo
     return [(j, k, tuple(Fraction(i) for i in unread if i != k)) for j, unread in parts for k in unread]
 
 
-def output_jitter(family: OutputJitter, graph: Graph) -> None:
-    """Words are the phase, the ends of the last deviation, and which outputs of that sample are yet to be read."""
+def jitter(family: Jitter, graph: Graph) -> None:
+    """Words are the phase, the ends of the last deviation, and which readings of that sample are yet to come."""
     nominal, words = family.nominal, [exact(word) for word in graph.words]
     early, late = [-Fraction(e) for e in family.early], [Fraction(t) for t in family.late]
     lengths, reach = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach]
-    read = [[i for i, on in enumerate(row) if on] for row in nominal.measured]
+    patterns = [family.readings(j) for j in range(nominal.gaps.size)]
+    read, what = [list(each) for each in patterns], "reading" if family.apart else "sample of the period"
     need(2 ** max(map(len, read)) <= len(words), 0, "outputs of a sample that are yet to be read")
     for u, word in enumerate(words):
         cells: dict[tuple[int, int, Word], list[tuple[Fraction, Fraction]]] = {
@@ -164,9 +126,9 @@ def output_jitter(family: OutputJitter, graph: Graph) -> None:
         }
         for edge in graph.leaving(u):
             phase, a, b, *rest = words[edge.target]
-            k = edge.outputs.index(True) if sum(edge.outputs) == 1 else -1
             j, left = int(phase), tuple(rest)
-            need((j, k, left) in cells, u, f"the edge to node {edge.target} is no reading that may follow")
+            k = next((i for i, outputs in patterns[j].items() if outputs == edge.outputs), -1)
+            need((j, k, left) in cells, u, f"the edge to node {edge.target} is no {what} that may follow")
             before = [i for i in read[j] if i not in left and i != k]
             if u:
                 gap = Fraction(0) if word[3:] else lengths[j]
@@ -181,7 +143,8 @@ def output_jitter(family: OutputJitter, graph: Graph) -> None:
             low = max(early[i] for i in read[j] if i not in left)
             low = max(low, word[1]) if u and word[3:] else low
             high = min(late[k], *(late[int(i)] for i in left)) if left else late[k]
-            need(high < low or covers(parts, low, high), u, f"deviations of output {k} of sample {j} of the period")
+            which = f"output {k} of sample {j}" if family.apart else f"sample {j}"
+            need(high < low or covers(parts, low, high), u, f"deviations of {which} of the period")
 
 
 COVERED: dict[type[Family], Callable[[Any, Graph], None]] = {
@@ -189,7 +152,6 @@ COVERED: dict[type[Family], Callable[[Any, Graph], None]] = {
     SpacedWindows: spaced_windows,
     LostSamples: lost_samples,
     Jitter: jitter,
-    OutputJitter: output_jitter,
 }
 
 

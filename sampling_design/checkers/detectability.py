@@ -10,6 +10,7 @@ so that d/dt x'Px <= -eta x'Px + c_w |w|^2 + c_y |Cx|^2 along x' = Ax + Gw.
 3. Where the bound leaves the sign open, L D L' in rational numbers decides, without any rounding.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -24,7 +25,7 @@ from .strict import Array, Tree, matrix, or_nothing, positive, table, word
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows
-Number = Any  # a double, or a Fraction
+Number = Any  # a double, or a Fraction, or an array of these
 Numbers = npt.NDArray[Any]  # doubles, or Fractions
 INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
 
@@ -59,74 +60,46 @@ def detectability(read: Tree, plant: Plant) -> Detectability:
     return Detectability(plant, symmetric(read["P"], "P", plant.n), **rates)
 
 
-@dataclass(frozen=True)
-class Inequality:
-    """The numbers of the inequality, as doubles or as fractions (arrays of objects)."""
-
-    A: Numbers
-    C: Numbers
-    G: Numbers
-    P: Numbers
-    eta: Number
-    c_w: Number
-    c_y: Number
-    margin: Number
-
-
 def prove(c: Detectability) -> tuple[str, float]:
     """Prove P > 0 and the dissipation inequality; return how, and the relative slack of the latter."""
     found = 1.0, "no states"
-    floats = numbers(c)
     for name in ("P > 0", INEQUALITY) if c.plant.n else ():
-        found = in_floats(name, floats) or in_rationals(name, rational(c))
+        found = in_floats(name, c) or in_rationals(name, c)
     return found[1], found[0]
 
 
-def forms(name: str, c: Inequality) -> tuple[Numbers, Numbers]:
-    """The matrix that must be positive definite, and the sizes of its terms, summed."""
-    A, C, G, P = (abs(X) for X in (c.A, c.C, c.G, c.P))
+def forms(name: str, c: Detectability, of: Callable[[Array | float], Number]) -> tuple[Numbers, Numbers]:
+    """The matrix that must be positive definite, and the sizes of its terms, summed; `of` makes numbers of doubles."""
+    A, C, G, P = of(c.plant.A), of(c.plant.C), of(c.plant.G), of(c.P) / 2 + of(c.P.T) / 2
     if name == "P > 0":
-        return c.P, P
-    rate = (1 + c.margin) * c.eta
-    return negative(c.A, c.C, c.G, c.P, c.c_y, c.c_w, rate, -1), negative(A, C, G, P, c.c_y, c.c_w, rate, 1)
+        return P, abs(P)
+    c_y, c_w, rate = of(c.c_y), of(c.c_w), (1 + of(c.margin)) * of(c.eta)
+
+    def negative(A: Numbers, C: Numbers, G: Numbers, P: Numbers, sign: int) -> Numbers:
+        drift, off = A.T @ P, sign * (P @ G)
+        corner = c_y * (C.T @ C) + sign * (drift + drift.T + rate * P)
+        return np.block([[corner, off], [off.T, np.diag([c_w] * G.shape[1])]])
+
+    return negative(A, C, G, P, -1), negative(abs(A), abs(C), abs(G), abs(P), 1)
 
 
-def negative(
-    A: Numbers, C: Numbers, G: Numbers, P: Numbers, c_y: Number, c_w: Number, rate: Number, sign: int
-) -> Numbers:
-    """N for sign = -1; for sign = 1 and the sizes of all numbers, the sum of the sizes of its terms."""
-    drift, off = A.T @ P, sign * (P @ G)
-    corner = c_y * (C.T @ C) + sign * (drift + drift.T + rate * P)
-    return np.block([[corner, off], [off.T, np.diag([c_w] * G.shape[1])]])
+def exact(X: Array | float) -> Number:
+    """The same numbers without rounding: fractions, in an array of objects where it is one."""
+    return np.vectorize(Fraction, otypes=[object])(X) if isinstance(X, np.ndarray) else Fraction(X)
 
 
-def numbers(c: Detectability) -> Inequality:
-    """The numbers as doubles; P is the symmetric part."""
-    return Inequality(c.plant.A, c.plant.C, c.plant.G, c.P / 2 + c.P.T / 2, c.eta, c.c_w, c.c_y, c.margin)
-
-
-def rational(c: Detectability) -> Inequality:
-    """The same numbers without rounding."""
-
-    def exact(X: Array) -> Numbers:
-        return np.array([Fraction(x) for x in X.ravel().tolist()], dtype=object).reshape(X.shape)
-
-    P = exact(c.P)
-    rates = (Fraction(rate) for rate in (c.eta, c.c_w, c.c_y, c.margin))
-    return Inequality(exact(c.plant.A), exact(c.plant.C), exact(c.plant.G), (P + P.T) / 2, *rates)
-
-
-def in_floats(name: str, c: Inequality) -> tuple[float, str] | None:
+def in_floats(name: str, c: Detectability) -> tuple[float, str] | None:
     """The slack if floats prove the inequality, Refused if they disprove it, None if rounding leaves it open."""
-    numbers = np.abs(np.concatenate([*(X.ravel() for X in (c.A, c.C, c.G, c.P)), [c.eta, c.c_w, c.c_y, 1 + c.margin]]))
+    matrices, plant = (c.plant.A, c.plant.C, c.plant.G, c.P / 2 + c.P.T / 2), c.plant
+    numbers = np.abs(np.concatenate([*map(np.ravel, matrices), [c.eta, c.c_w, c.c_y, 1 + c.margin]]))
     if np.any((numbers != 0) & ((numbers < PLAIN[0]) | (numbers > PLAIN[1]))) or np.any(np.diag(c.P) == 0):
         return None
-    N, terms = forms(name, c)
+    N, terms = forms(name, c, lambda X: X)
     size = np.sqrt(np.diag(terms))
     M = N / size / size[:, None]
     values, vectors = np.linalg.eigh(M)
     # each at most EPS/2: P = (P + P')/2, sums of n or p products, c_y, rate, four terms, the division by sizes
-    roundings = len(c.A) + len(c.C) + 12
+    roundings = plant.n + len(plant.C) + 12
     bound = EPS * (roundings * np.linalg.norm(terms / size / size[:, None]) + EIGENVALUES * len(M) * np.linalg.norm(M))
     how = f"rounding below {bound:.1g}"
     if values[0] < -bound:
@@ -134,9 +107,9 @@ def in_floats(name: str, c: Inequality) -> tuple[float, str] | None:
     return (float(values[0]), f"by {values[0]:.3g} of the size of its terms ({how})") if values[0] > bound else None
 
 
-def in_rationals(name: str, e: Inequality) -> tuple[float, str]:
+def in_rationals(name: str, c: Detectability) -> tuple[float, str]:
     """The same without rounding; a proven inequality is nearer to tight than floats can tell."""
-    N, terms = forms(name, e)
+    N, terms = forms(name, c, exact)
     x, value = downhill(N)
     if x is None:
         return 0.0, "by less of the size of its terms than floats can tell (proven in rational numbers)"

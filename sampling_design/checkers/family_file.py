@@ -6,7 +6,6 @@ compares. Nothing is proven here.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -34,13 +33,13 @@ from .strict import (
 
 def family(value: object, place: str) -> Tree:
     """The table of a family of any kind."""
-    return dict(of_kind("a family", {kind: one.read for kind, one in FAMILIES.items()})(value, place))
+    return dict(of_kind("a family", {kind: reader for kind, (reader, _) in FAMILIES.items()})(value, place))
 
 
 class Family:
     """A family of any kind; `cover.py` says for each what its graph must hold."""
 
-    apart: ClassVar[bool] = False
+    apart: bool = False
     """Whether the outputs of a sample are read at times of their own."""
 
     def has_word(self, word: tuple[float, ...]) -> bool:
@@ -80,30 +79,28 @@ class LostSamples(Family):
 
 @dataclass(frozen=True)
 class Jitter(Family):
-    """Every sample at most `timing_tolerance` early or late."""
+    """Reading i of every sample at most early[i] before and late[i] after the nominal time.
 
-    nominal: Times
-    timing_tolerance: float
+    What is read at once is output i where outputs are read at times of their own (`apart`), else the whole sample, 0.
+    """
 
-    def has_word(self, word: tuple[float, ...]) -> bool:
-        """The number of a sample of the period, and the ends of its deviation in order."""
-        return len(word) == 3 and word[:1] in _samples(self.nominal) and word[1] <= word[2]
-
-
-@dataclass(frozen=True)
-class OutputJitter(Family):
-    """Output i of every sample read at a time of its own, at most early[i] before and late[i] after the nominal one."""
-
-    apart: ClassVar[bool] = True
     nominal: Times
     early: tuple[float, ...]
     late: tuple[float, ...]
+    apart: bool = False
+
+    def readings(self, j: int) -> dict[int, tuple[bool, ...]]:
+        """The readings of sample j of the period, and which outputs each of them measures."""
+        measured = self.nominal.measured[j]
+        if not self.apart:
+            return {0: tuple(measured.tolist())}
+        return {i: tuple((np.arange(measured.size) == i).tolist()) for i in np.flatnonzero(measured).tolist()}
 
     def has_word(self, word: tuple[float, ...]) -> bool:
-        """The number of a sample, the ends of the last deviation in order, and the outputs yet to be read, in order."""
+        """The number of a sample, the ends of the last deviation in order, and the readings yet to come, in order."""
         if len(word) < 3 or word[:1] not in _samples(self.nominal) or word[1] > word[2]:
             return False
-        read, left = np.flatnonzero(self.nominal.measured[int(word[0])]).tolist(), word[3:]
+        read, left = self.readings(int(word[0])), word[3:]
         return left == tuple(i for i in read if i in left) and len(left) < len(read)
 
 
@@ -170,7 +167,7 @@ def family_of(value: object, plant: Plant) -> Family:
     for place, unit in (("times", read.get("time_unit")), ("times.schedule", (nominal or {}).get("time_unit"))):
         if unit is not None and unit != plant.time_unit:
             raise refuse(f"{place}.time_unit", f"must be the plant's, {plant.time_unit!r}, got {unit!r}")
-    return FAMILIES[kind].build(read, plant)
+    return FAMILIES[kind][1](read, plant)
 
 
 def nominal_of(read: Tree, plant: Plant) -> Times:
@@ -218,42 +215,35 @@ def jitter(read: Tree, plant: Plant) -> Jitter:
     path = nominal_of(read["schedule"], plant)
     if 2 * read["timing_tolerance"] >= path.gaps.min():
         raise refuse("times.timing_tolerance", "must be less than half of the least gap")
-    return Jitter(path, read["timing_tolerance"])
+    most = (read["timing_tolerance"],)
+    return Jitter(path, most, most)
 
 
-def output_jitter(path: Times, early: list[float], late: list[float]) -> OutputJitter:
+def output_jitter(read: Tree, plant: Plant) -> Jitter:
     """Deviations of each output that keep the order of nominal samples."""
-    p = path.measured.shape[1]
+    path, early, late, p = nominal_of(read["schedule"], plant), read["early"], read["late"], len(plant.C)
     for key, side in (("early", early), ("late", late)):
         if len(side) != p:
             raise refuse(f"times.{key}", f"must have {p} entries, one for each output, got {len(side)}")
     if max(early) + max(late) >= path.gaps.min():
         raise refuse("times.late", "must, with `times.early`, be less than the least gap, the largest of each")
-    return OutputJitter(path, tuple(early), tuple(late))
-
-
-@dataclass(frozen=True)
-class Kind:
-    """How families of one kind are read: their table, and the record of its judged parameters."""
-
-    read: Reader
-    build: Callable[[Tree, Plant], Family]
+    return Jitter(path, tuple(early), tuple(late), apart=True)
 
 
 _unit: dict[str, Reader] = {"time_unit": or_nothing(time_unit)}
-FAMILIES: dict[str, Kind] = {
-    "gap-range": Kind(table({"kind": text, "shortest": positive, "longest": positive}, _unit), gap_range),
-    "spaced-windows": Kind(
-        table({"kind": text, "window": positive, "count": count, "spacing": positive}, _unit), spaced_windows
-    ),
-    "lost-samples": Kind(table({"kind": text, "schedule": schedule, "most": count, "of": count}), lost_samples),
-    "jitter": Kind(table({"kind": text, "schedule": schedule, "timing_tolerance": nonnegative}), jitter),
-    "output-jitter": Kind(
-        table({"kind": text, "schedule": schedule, **dict.fromkeys(("early", "late"), list_of(nonnegative))}),
-        lambda d, plant: output_jitter(nominal_of(d["schedule"], plant), d["early"], d["late"]),
-    ),
+_count = table({"kind": text, "window": positive, "count": count, "spacing": positive}, _unit)
+_sides = dict.fromkeys(("early", "late"), list_of(nonnegative))
+FAMILIES: dict[str, tuple[Reader, Callable[[Tree, Plant], Family]]] = {
+    "gap-range": (table({"kind": text, "shortest": positive, "longest": positive}, _unit), gap_range),
+    "spaced-windows": (_count, spaced_windows),
+    "lost-samples": (table({"kind": text, "schedule": schedule, "most": count, "of": count}), lost_samples),
+    "jitter": (table({"kind": text, "schedule": schedule, "timing_tolerance": nonnegative}), jitter),
+    "output-jitter": (table({"kind": text, "schedule": schedule, **_sides}), output_jitter),
 }
-"""What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""
+"""How a certificate file says each kind of family: its table, and the record of its judged parameters.
+
+Another kind is another line here, and one in `cover.COVERED`.
+"""
 
 
 def _samples(nominal: Times) -> list[tuple[float, ...]]:

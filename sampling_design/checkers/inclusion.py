@@ -152,79 +152,78 @@ def pieces(c: Inclusion, P: Array) -> tuple[Array, Array, Array, Array]:
     return both, np.repeat(slope, 2, axis=0), np.repeat(size, 2, axis=0), taus
 
 
-def flow_forms(P: Array, slope: Array, size: Array, A: Array, G: Array, Qw: Array, eta: float) -> Parts:
-    """The matrices of 1 for P (K, n, n) and A, G of the same stack, and the sizes of their terms."""
-    drift, off = P @ A, -(P @ G)
-    corner = -(slope + drift + np.swapaxes(drift, 1, 2) + eta * P)
-    dabs = np.abs(P) @ np.abs(A)
-    terms = size + dabs + np.swapaxes(dabs, 1, 2) + eta * np.abs(P)
-    Q = np.broadcast_to(Qw, (len(P), *Qw.shape))
-    oabs = np.abs(P) @ np.abs(G)
-    form = np.concatenate([np.concatenate([corner, off], 2), np.concatenate([np.swapaxes(off, 1, 2), Q], 2)], 1)
-    sizes = np.concatenate(
-        [np.concatenate([terms, oabs], 2), np.concatenate([np.swapaxes(oabs, 1, 2), np.abs(Q)], 2)], 1
+def flow_block(P: Array, slope: Array | float, M: Array, Q: Array, eta: float, sign: int = -1) -> Array:
+    """[[s (P' + A'P + PA + eta P), s PG], [s G'P, Q]], s = -1, for stacks of P and of M = (A, G) side by side.
+
+    For s = 1 and the sizes of all numbers, the sum of the sizes of its terms.
+    """
+    n = P.shape[-1]
+    led = sign * (P @ M)
+    drift = led[..., :n]
+    corner = sign * slope + drift + np.swapaxes(drift, 1, 2) + sign * eta * P
+    return bordered(corner, led[..., n:], np.broadcast_to(Q, (len(P), *Q.shape)))
+
+
+def bordered(corner: Array, side: Array, rest: Array) -> Array:
+    """[[corner, side], [side', rest]] of stacks."""
+    return np.concatenate(
+        [np.concatenate([corner, side], axis=2), np.concatenate([np.swapaxes(side, 1, 2), rest], axis=2)], axis=1
     )
-    return form, sizes
 
 
-def form_radii(P: Array, E: Array, EG: Array) -> Array:
-    """Bounds of the entries by which `flow_forms` changes where A and G are off by at most E and EG."""
-    drift, off, q = np.abs(P) @ E, np.abs(P) @ EG, EG.shape[-1]
-    corner = drift + np.swapaxes(drift, 1, 2)
-    zero = np.zeros((len(P), q, q))
-    return np.concatenate([np.concatenate([corner, off], 2), np.concatenate([np.swapaxes(off, 1, 2), zero], 2)], 1)
+class Flow:
+    """The matrices of 1 at both ends of every piece."""
+
+    def __init__(self, c: Inclusion, P: Array, slope: Array, size: Array, taus: Array, Qw: Array) -> None:
+        self.c, self.P, self.slope, self.size, self.taus, self.Qw = c, P, slope, size, taus, Qw
+
+    def forms(self, M: Array, E: Array, more: Array | float = 0.0) -> tuple[Array, Array, Array]:
+        """The matrices for (A, G) side by side, known to within E: ends of pieces for each M (K, n, n + q).
+
+        Also the sizes of their terms, where M and E may be `more`, and how far E moves each entry.
+        """
+        every, Qw, eta = (len(M), 1, 1), self.Qw, self.c.weights.eta
+        P, slope, size = (np.tile(X, every) for X in (self.P, self.slope, self.size))
+        M, E, top = (np.repeat(X, len(self.P), axis=0) for X in (M, E, np.abs(M) + more))
+        p, none = np.abs(P), np.zeros_like(Qw)
+        terms = flow_block(p, size, top, np.abs(Qw), eta, 1)
+        return flow_block(P, slope, M, Qw, eta), terms, flow_block(p, 0.0, E, none, 0.0, 1)
+
+    def slacks(self, M: Array, E: Array, middle: Array) -> Parts:
+        """Bounds of the least slack at each M."""
+        del middle
+        below, above = (part.reshape(len(M), -1).min(axis=1) for part in bounds(*self.forms(M, E)))
+        return below, above
+
+    def robust(self, M: Array, E: Array, moving: Array) -> tuple[Array, int]:
+        """What is left at each M, moved by any shares of `moving` (D, K, n, n + q), and how many were tried."""
+        form, terms, radius = self.forms(M, E, E + np.abs(moving).sum(axis=0))
+        stack, none = np.tile(self.P, (len(M), 1, 1)), np.zeros_like(self.Qw)
+        moves = [flow_block(stack, 0.0, np.repeat(D, len(self.P), axis=0), none, 0.0) for D in moving]
+        left, spent = definite_robustly(form, terms, np.array(moves).reshape(len(moving), *form.shape), radius)
+        return left.reshape(len(M), -1).min(axis=1), spent
 
 
 def flows(c: Inclusion, P: Array, Qw: Array, work: WorkLimit) -> float:
     """Prove 1; return the least slack."""
-    both, slope, size, taus = pieces(c, P)
+    flow = Flow(c, *pieces(c, P), Qw)
     if c.model.kind == "nonlinear":
-
-        def slacks(A: Array, EA: Array, G: Array, EG: Array) -> Parts:
-            k, m = len(A), len(both)
-            stack = np.tile(both, (k, 1, 1))
-            A, EA, G, EG = (np.repeat(X, m, axis=0) for X in (A, EA, G, EG))
-            form, terms = flow_forms(
-                stack, np.tile(slope, (k, 1, 1)), np.tile(size, (k, 1, 1)), A, G, Qw, c.weights.eta
-            )
-            below, above = bounds(form, terms, form_radii(stack, EA, EG))
-            return below.reshape(k, m).min(axis=1), above.reshape(k, m).min(axis=1)
-
-        def robust(M: Array, E: Array, moving: Array) -> tuple[Array, int]:
-            k, m, n = len(M), len(both), c.plant.n
-            stack, none = np.tile(both, (k, 1, 1)), np.zeros((k * m, n, n))
-            slopes, sizes = (np.tile(X, (k, 1, 1)) for X in (slope, size))
-            M, E = np.repeat(M, m, axis=0), np.repeat(E, m, axis=0)
-            D = np.repeat(moving, m, axis=1)
-            top = np.abs(M) + E + np.abs(D).sum(axis=0)
-            form, _ = flow_forms(stack, slopes, sizes, M[:, :, :n], M[:, :, n:], Qw, c.weights.eta)
-            _, terms = flow_forms(stack, slopes, sizes, top[:, :, :n], top[:, :, n:], Qw, c.weights.eta)
-            moves = [flow_forms(stack, none, none, d[:, :, :n], d[:, :, n:], 0 * Qw, 0.0)[0] for d in D]
-            stacked = np.array(moves).reshape(len(D), *form.shape)
-            left, spent = definite_robustly(form, terms, stacked, form_radii(stack, E[:, :, :n], E[:, :, n:]))
-            return left.reshape(k, m).min(axis=1), spent
-
-        return Cells(c, c.model, P, work).prove(FLOW, slacks, True, len(both), robust)
+        return Cells(c, c.model, P, work).prove(FLOW, flow.slacks, True, len(flow.P), flow.robust)
     if c.multipliers is not None:
-        return multiplied(c, both, slope, size, taus, Qw)
-    return at_corners(c, joint(c), both, slope, size, taus, Qw)
+        return multiplied(c, flow)
+    return at_corners(joint(c), flow)
 
 
-def at_corners(c: Inclusion, found: Members, both: Array, slope: Array, size: Array, taus: Array, Qw: Array) -> float:
+def at_corners(found: Members, flow: Flow) -> float:
     """The least slack of 1 over some members."""
-    slack, n = 1.0, c.plant.n
-    for point, M, E in zip(found.points, *found.at(found.points), strict=True):
-        stacks = [np.broadcast_to(X, (len(both), *X.shape)) for X in (M[:, :n], E[:, :n], M[:, n:], E[:, n:])]
-        form, terms = flow_forms(both, slope, size, stacks[0], stacks[2], Qw, c.weights.eta)
-
-        def who(_: int, where: str = found.name(point)) -> str:
-            return where
-
-        slack = min(slack, least(FLOW, form, terms, taus, form_radii(both, stacks[1], stacks[3]), who))
+    slack = 1.0
+    for point in found.points:
+        form, terms, radius = flow.forms(*found.at(point[None]))
+        slack = min(slack, least(FLOW, form, terms, flow.taus, radius, found.name(point)))
     return slack
 
 
-def multiplied(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw: Array) -> float:
+def multiplied(c: Inclusion, flow: Flow) -> float:
     """Prove 1 with multipliers: p_k = delta_k z_k, |delta_k| <= 1, for every column z_k that a parameter moves.
 
     (x, w)'N(A0, G0)(x, w) - 2 x'P sum_k l_k p_k + sum_k m_k (p_k^2 - z_k^2) > 0, m_k >= 0, N at the middle of the box.
@@ -232,7 +231,7 @@ def multiplied(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array
     assert c.model.kind == "box"
     assert c.multipliers is not None
     n, q = c.plant.n, c.plant.G.shape[1]
-    middle, rounding = np.hstack([c.plant.A, c.plant.G]), 0.0
+    middle = np.hstack([c.plant.A, c.plant.G])
     columns: list[Array] = []
     chosen: list[int] = []
     off = np.abs(middle)
@@ -244,30 +243,21 @@ def multiplied(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array
         for k in moved(each):
             columns.append(half * M[:, k])
             chosen.append(k)
-    rounding = (len(c.model.parameters) + 8) * EPS
-    A, G = middle[:, :n], middle[:, n:]
-    stack = [np.broadcast_to(X, (len(both), *X.shape)) for X in (A, rounding * off[:, :n], G, rounding * off[:, n:])]
-    form, terms = flow_forms(both, slope, size, stack[0], stack[2], Qw, c.weights.eta)
-    L, lam = np.array(columns).reshape(-1, n).T, c.multipliers.reshape(len(both), -1)
+    rounding = (len(c.model.parameters) + 8) * EPS * off
+    form, terms, inner = flow.forms(middle[None], rounding[None])
+    L, lam = np.array(columns).reshape(-1, n).T, c.multipliers.reshape(len(flow.P), -1)
     m = L.shape[1]
-    side, top = np.zeros((len(both), n + q, m)), np.zeros((len(both), n + q, n + q))
-    side[:, :n], sides = -(both @ L), np.zeros_like(side)
-    sides[:, :n] = np.abs(both) @ np.abs(L)
+    side, top = np.zeros((len(flow.P), n + q, m)), np.zeros_like(form)
+    side[:, :n], sides = -(flow.P @ L), np.zeros_like(side)
+    sides[:, :n] = np.abs(flow.P) @ np.abs(L)
     for k, z in enumerate(chosen):
         top[:, z, z] += lam[:, k]
     corner = np.einsum("ki,ij->kij", lam, np.eye(m))
-    full = np.concatenate(
-        [np.concatenate([form - top, side], 2), np.concatenate([np.swapaxes(side, 1, 2), corner], 2)], 1
-    )
-    sizes = np.concatenate(
-        [np.concatenate([terms + top, sides], 2), np.concatenate([np.swapaxes(sides, 1, 2), corner], 2)], 1
-    )
-    radius = np.zeros_like(full)
-    radius[:, : n + q, : n + q] = form_radii(both, stack[1], stack[3])
+    full, radius = bordered(form - top, side, corner), bordered(inner, 0 * side, 0 * corner)
     try:
-        return least(f"{FLOW} with multipliers", full, sizes, taus, radius)
+        return least(f"{FLOW} with multipliers", full, bordered(terms + top, sides, corner), flow.taus, radius)
     except Refused as error:  # the multipliers fail, which says nothing of the members: is there one that does?
-        broken(c, both, slope, size, taus, Qw)
+        broken(c, flow.P, flow.slope, flow.size, flow.taus, flow.Qw)
         reason = f"{FLOW} could not be decided: these multipliers do not prove it"
         raise Undecided(FLOW, reason, error.amount, error.time) from None
 
@@ -276,14 +266,12 @@ def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw
     """Refused at a corner of a box where 1 fails, sought by turns of the worst direction and the signs it asks for."""
     assert c.model.kind == "box"
     n, acting = c.plant.n, tuple(each for each in c.model.parameters if each.low < each.high)
-    parts = np.array([np.hstack([each.A, each.G]) for each in acting])
+    flow, parts = Flow(c, both, slope, size, taus, Qw), np.array([np.hstack([each.A, each.G]) for each in acting])
     ends = np.array([[each.low - each.nominal, each.high - each.nominal] for each in acting])
     found = Members(np.hstack([c.plant.A, c.plant.G]), parts, np.zeros((0, len(acting))), c.model, acting)
     point = ends.mean(axis=1)
     for _ in range(TURNS):
-        M = found.at(point[None])[0][0]
-        stacks = [np.broadcast_to(X, (len(both), *X.shape)) for X in (M[:, :n], M[:, n:])]
-        form, terms = flow_forms(both, slope, size, stacks[0], stacks[1], Qw, c.weights.eta)
+        form, terms, _ = flow.forms(*found.at(point[None]))
         d = np.sqrt(np.maximum(np.einsum("kii->ki", terms), np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(form / d[:, :, None] / d[:, None, :])
         k = int(np.argmin(values[:, 0]))
@@ -294,7 +282,7 @@ def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw
             break
         point = other
     with suppress(Undecided):
-        at_corners(c, replace(found, points=point[None]), both, slope, size, taus, Qw)
+        at_corners(replace(found, points=point[None]), flow)
 
 
 def proven(c: Inclusion, work: WorkLimit) -> Proven:

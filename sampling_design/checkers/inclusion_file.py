@@ -183,7 +183,7 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
 def schedules_of(value: object, plant: Plant) -> Family:
     """The family; one periodic schedule is the family of deviations 0 from it."""
     if is_table(value) and value.get("kind") == "periodic":
-        return Jitter(times_of(value, plant), 0.0)
+        return Jitter(times_of(value, plant), (0.0,), (0.0,))
     family = family_of(value, plant)
     if family.apart:
         raise refuse("times.kind", "must be another one for an inclusion: its samples are read together")

@@ -52,18 +52,18 @@ def least(
     terms: Array,
     times: Array | None = None,
     radius: Array | None = None,
-    who: Callable[[int], str] = lambda k: "",
+    who: str = "",
 ) -> float:
     """The least slack of matrices that are all members of the claim; Refused or Undecided where one is not positive.
 
-    `who` says of which plant the k-th is.
+    `who` says of which plant they are.
     """
     below, above = bounds(form, terms, radius)
     k = int(np.argmin(above))
     when = None if times is None else float(times[k])
     at = "" if when is None else f" at tau = {when:.6g}"
     if above[k] < 0:
-        what = f"{name} fails by {-above[k]:.3g} of the size of its terms{at}{who(k)}"
+        what = f"{name} fails by {-above[k]:.3g} of the size of its terms{at}{who}"
         raise Refused(name, what, float(above[k]), when)
     k = int(np.argmin(below))
     if not below[k] > 0:
@@ -264,7 +264,7 @@ def over_set(found: Members, jump: Jump, work: WorkLimit) -> float:
 def over_region(c: Inclusion, region: Region, P: Array, jump: Jump, measured: Mask, work: WorkLimit) -> float:
     """The least slack over all Jacobians of the outputs in the region."""
 
-    def judge(C: Array, EC: Array, B: Array, _: Array) -> Parts:
+    def judge(C: Array, EC: Array, B: Array) -> Parts:
         below, above = jump.bounds(C[:, measured], EC[:, measured], B[:, measured])
         return below.min(axis=1), above.min(axis=1)
 

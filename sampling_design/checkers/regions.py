@@ -17,6 +17,13 @@ SMALL = 1e-3  # share of the widest direction below which one is left to the per
 MOST_MATRICES = 1_500_000  # matrices of one proof over cells
 BATCH = 40_000
 PRICE = 2  # work of one matrix, in microseconds
+Judge = Callable[[Array, Array, Array], Parts]
+Robust = Callable[[Array, Array, Array], tuple[Array, int]]
+
+
+def bounded(E: Array, moving: Array) -> Mask:
+    """Cells over which the Jacobian has bounds."""
+    return np.asarray(np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3)))
 
 
 class Cells:
@@ -32,47 +39,35 @@ class Cells:
         self.disturbance_scale = np.sqrt(np.diag(c.weights.Qw))
         self.output_scale = 1 / np.sqrt(1 / np.diag(c.weights.R) + 1 / np.diag(c.weights.Qv))
 
-    def prove(
-        self,
-        name: str,
-        judge: Callable[[Array, Array, Array, Array], Parts],
-        of_f: bool,
-        each: int,
-        robust: Callable[[Array, Array, Array], tuple[Array, int]] | None = None,
-    ) -> float:
+    def prove(self, name: str, judge: Judge, of_f: bool, each: int, robust: Robust | None = None) -> float:
         """Prove that `judge` is positive for every Jacobian in the region; return the least slack.
 
-        `judge` takes A, its radius, G, its radius and bounds a relative slack; for outputs C, its radius, the C in the
-        middle of the cell, and the radius again.
+        `judge` takes (A, G) side by side, or C, their radius, and what they are in the middle of the cell, and bounds a
+        relative slack; it looks at `each` matrices. What cells that move by given matrices leave of it `robust` says,
+        without it the corners of the widest of these.
         """
         low = np.concatenate([self.region.low[key] for key in ("x", "u", "w")])[None]
         high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])[None]
-        slack, spent = 1.0, 0
+        slack, spent, most = 1.0, 0, BATCH if robust is None else max(1, BATCH // (8 * each))
         while len(low):
             inside = self.inside(low, high)
             low, high = low[inside], high[inside]
             if not len(low):
                 break
-            M, E, moving = self.enclosure(low, high, of_f)
-            finite = np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3))
-            unbounded = each * 2**CORNERS * int(np.sum(~finite))  # as if they were judged, or halving had no end
-            spent += unbounded
-            self.work.spend(PRICE * unbounded)
-            good = np.zeros(len(low), bool)
-            most = BATCH if robust is None else max(1, BATCH // (8 * each))
+            M, E, moving = enclosed(self.region, low, high, of_f)
+            tried = each * 2**CORNERS * int(np.sum(~bounded(E, moving)))  # as if judged, or halving had no end
+            left = np.empty(len(low))
             for first in range(0, len(low), most):
                 part = slice(first, first + most)
                 parts = M[part], E[part], moving[:, part]
-                if robust is None:
-                    good[part], spent, slack = self.judged(parts, judge, of_f, each, spent, slack)
-                    continue
-                left, tried = robust(*parts)
-                good[part], spent = left > 0, spent + tried
-                self.work.spend(PRICE * tried)
-                slack = min(slack, float(left[left > 0].min(initial=1.0)))
-            if good.all():
+                left[part], more = self.at_corners(judge, each, *parts) if robust is None else robust(*parts)
+                tried += more
+            spent += tried
+            self.work.spend(PRICE * tried)
+            slack = min(slack, float(left[left > 0].min(initial=1.0)))
+            if (left > 0).all():
                 break
-            low, high = low[~good], high[~good]
+            low, high = low[left <= 0], high[left <= 0]
             self.refute(name, low, high, judge, of_f)
             if spent > MOST_MATRICES or self.work.over:
                 raise Undecided(name, f"{name} could not be decided: {len(low)} cells of the region are left")
@@ -90,12 +85,8 @@ class Cells:
 
     def jacobians(self, low: Array, high: Array, of_f: bool) -> Parts:
         """Middles and radii of (A, G) side by side, or of C, over each cell."""
-        M, E, moving = self.enclosure(low, high, of_f)
+        M, E, moving = enclosed(self.region, low, high, of_f)
         return M, E + np.abs(moving).sum(axis=0)
-
-    def enclosure(self, low: Array, high: Array, of_f: bool) -> tuple[Array, Array, Array]:
-        """Middles, radii, and matrices of which any multiples in [-1, 1] may be added; see `slopes.py`."""
-        return enclosed(self.region, low, high, of_f)
 
     def effect(self, E: Array, of_f: bool) -> Array:
         """Sizes of the radii in units in which the diagonals of what is proven are about 1."""
@@ -104,23 +95,17 @@ class Cells:
         left, right = self.x / self.pace, np.concatenate([self.x * self.pace, self.disturbance_scale])
         return np.asarray(E * left[:, None] / right)
 
-    def judged(
-        self,
-        parts: tuple[Array, Array, Array],
-        judge: Callable[[Array, Array, Array, Array], Parts],
-        of_f: bool,
-        each: int,
-        spent: int,
-        slack: float,
-    ) -> tuple[Mask, int, float]:
-        """Which cells are proven; the corners of the widest directions, and the others as a perturbation."""
-        M, E, moving = parts
-        finite = np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3))
-        good = np.zeros(len(M), bool)
+    def at_corners(self, judge: Judge, each: int, M: Array, E: Array, moving: Array) -> tuple[Array, int]:
+        """The least slack over the corners of the widest directions, the others as a perturbation; how many were tried.
+
+        Of outputs. Nothing is proven of a cell without bounds.
+        """
+        finite = bounded(E, moving)
+        least_of = np.where(finite, np.inf, -np.inf)
         if not finite.any():
-            return good, spent, slack
+            return least_of, 0
         E, M, moving = E[finite], M[finite], moving[:, finite]
-        worth = np.array([self.effect(np.abs(D), of_f).max() for D in moving])
+        worth = np.array([self.effect(np.abs(D), False).max() for D in moving])
         order = np.argsort(-worth)
         most = CORNERS if len(M) > FEW else MORE_CORNERS
         wide = [int(k) for k in order[:most] if worth[k] > SMALL * worth.max(initial=0.0)]
@@ -128,27 +113,16 @@ class Cells:
         signs = np.array(list(product((-1.0, 1.0), repeat=len(wide)))).reshape(2 ** len(wide), len(wide))
         size = np.abs(moving[wide]).sum(axis=0)
         off = E + np.abs(moving[others]).sum(axis=0) + np.where(size > 0, EPS * (len(wide) + 2) * (np.abs(M) + size), 0)
-        least_of = np.full(len(M), np.inf)
+        found, step = np.full(len(M), np.inf), max(1, BATCH // each)
         for sign in signs:
             at = M + np.tensordot(sign, moving[wide], 1)
-            spent += each * len(M)
-            self.work.spend(PRICE * each * len(M))
-            for first in range(0, len(M), max(1, BATCH // each)):
-                part = slice(first, first + max(1, BATCH // each))
-                below, _ = judge(*self.split(at[part], off[part], M[part], of_f))
-                least_of[part] = np.minimum(least_of[part], below)
-        good[finite] = least_of > 0
-        kept = least_of[least_of > 0]
-        return good, spent, min(slack, float(kept.min(initial=1.0)))
+            for first in range(0, len(M), step):
+                part = slice(first, first + step)
+                found[part] = np.minimum(found[part], judge(at[part], off[part], M[part])[0])
+        least_of[finite] = found
+        return least_of, each * len(M) * len(signs)
 
-    def split(self, M: Array, E: Array, middle: Array, of_f: bool) -> tuple[Array, Array, Array, Array]:
-        """A, its radius, G, its radius; or C, its radius, the middle of the cell, and the radius."""
-        n = self.n
-        return (M[:, :, :n], E[:, :, :n], M[:, :, n:], E[:, :, n:]) if of_f else (M, E, middle, E)
-
-    def refute(
-        self, name: str, low: Array, high: Array, judge: Callable[[Array, Array, Array, Array], Parts], of_f: bool
-    ) -> None:
+    def refute(self, name: str, low: Array, high: Array, judge: Judge, of_f: bool) -> None:
         """Refused if the inequality fails at the Jacobian in the middle of some cell that lies in the region."""
         with np.errstate(invalid="ignore"):
             at = np.where(np.isfinite(low) & np.isfinite(high), low / 2 + high / 2, np.clip(0.0, low, high))
@@ -160,7 +134,7 @@ class Cells:
         fine = np.isfinite(E).all(axis=(1, 2))
         if not fine.any():
             return
-        _, above = judge(*self.split(M[fine], E[fine], M[fine], of_f))
+        _, above = judge(M[fine], E[fine], M[fine])
         k = int(np.argmin(above))
         if above[k] < 0:
             x = at[inside][fine][k, : self.n]

@@ -143,9 +143,7 @@ def covers_day_and_night(family: Planned, graph: family_file.Graph) -> None:
 
 
 READ = strict.table({"kind": strict.text, **dict.fromkeys(("day", "night", "slack"), strict.positive)})
-family_file.FAMILIES["day-and-night"] = family_file.Kind(
-    READ, lambda d, plant: Planned((d["day"], d["night"]), d["slack"])
-)
+family_file.FAMILIES["day-and-night"] = READ, lambda d, plant: Planned((d["day"], d["night"]), d["slack"])
 cover.COVERED[Planned] = covers_day_and_night
 
 

@@ -54,17 +54,6 @@ class ConstrainedSignal:
             total += np.matmul(self.own, noise[:, :, None])[:, :, 0]
         return total
 
-    def maps(self, T: Array, states: int) -> Array:
-        """Return the maps (K, k, size) from z to the signal, for dx = T z; z holds the own noise from `states` on."""
-        moved = T if self.at.size == T.shape[0] else T[self.at]
-        total = moved if self.here is None else np.matmul(self.here, moved)
-        if self.before is not None:
-            total += np.matmul(self.before, T[self.at - 1])
-        if self.own is not None:
-            p, place = self.own.shape[2], np.arange(self.at.size)[:, None, None]
-            total[place, np.arange(total.shape[1])[:, None], states + place * p + np.arange(p)] += self.own
-        return total
-
     def groups(self) -> Iterator[tuple[ConvexSet, Index]]:
         """Yield each set with the places where its whole signal is measured: half-spaces and balls count only there."""
         whole = np.arange(self.base.shape[0]) if self.measured is None else np.flatnonzero(self.measured.all(axis=1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +16,6 @@ from sampling_design.records.record import Record
 
 EMPTY_MARGIN = 1e-9
 """A set counts as empty if every point violates it by more than this, relative to the sizes it names."""
-
-
-class LinearRows(NamedTuple):
-    """lower <= matrix z <= upper, row by row."""
-
-    matrix: Array
-    lower: Array
-    upper: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,13 +169,13 @@ class ConvexSet(Record):
         return np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
 
     @cached_property
-    def inequalities(self) -> LinearRows:
-        """What is linear beside the box: half-spaces, and balls that are points."""
+    def inequalities(self) -> tuple[Array, Array, Array]:
+        """What is linear beside the box, lower <= matrix z <= upper: half-spaces, and balls that are points."""
         points = [ball for ball in self.balls if ball.radius == 0]
         places = [ball.shape @ ball.centre for ball in points]
         matrix = np.concatenate([self.rows, *(ball.shape for ball in points)])
         lower = np.concatenate([np.full(self.offsets.size, -np.inf), *places])
-        return LinearRows(matrix, lower, np.concatenate([self.offsets, *places]))
+        return matrix, lower, np.concatenate([self.offsets, *places])
 
     @property
     def round_balls(self) -> tuple[NormBall, ...]:

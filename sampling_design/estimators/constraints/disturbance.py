@@ -18,7 +18,6 @@ from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
 from sampling_design.numerics.linalg import expm_batch
-from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 
 CELL = 0.05
@@ -41,7 +40,11 @@ class DisturbanceReach:
         self._sets: dict[float, ConvexSet] = {}
         self._gaps: dict[float, Array] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
-        self._responses = DisturbanceResponses(self.plant, self.weights.units)
+        # states count in units, so that norms of A mean something
+        self.units = state_units(self.plant.A, self.weights.units)
+        self.A, self.G = self.plant.A * self.units / self.units[:, None], self.plant.G / self.units[:, None]
+        self.size = float(np.linalg.norm(self.A, 2))
+        self._grids: dict[float, tuple[Array, Array]] = {}
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
         if table.constant_w:
             if np.linalg.matrix_rank(normed(self.plant.G / self.weights.units[:, None])) < self.plant.n_disturbances:
@@ -109,7 +112,7 @@ class DisturbanceReach:
         n, boxed = self.plant.n_states, self.w.rows.shape[0] or self.w.bounded.size
         lower, upper = np.full((len(flows), n), -np.inf), np.full((len(flows), n), np.inf)
         if boxed:
-            lower, upper = support_boxes(self._responses, self.weights, flows, *self._box)
+            lower, upper = self._support(flows)
         for flow, low, high in zip(flows, lower, upper, strict=True):
             balls: tuple[NormBall, ...] = ()
             if np.isfinite(self._radius):
@@ -129,20 +132,30 @@ class DisturbanceReach:
         balls = tuple(NormBall(b.radius, np.asarray(np.linalg.solve(half, b.centre)), b.shape @ half) for b in w.balls)
         return ConvexSet.known(-whole, whole, rows, offsets, balls)
 
+    def _support(self, flows: Sequence[GapFlow]) -> tuple[Array, Array]:
+        """Return lower and upper bounds on omega, per flow, over all w in the box.
 
-class DisturbanceResponses:
-    """e^{As} G on grids that all gaps share: one for each length of cells, remembered as far as it was asked for.
+        Notes
+        -----
+        *Method.* With phi(s) = L^+ e^{As} G and w = middle + deviation, the middle is exact and the deviation adds at
+        most int |phi| half (`_absolute_integrals`). Nor is any entry's deviation more than that of |omega|, which the
+        cost bounds: over many fast time constants the cells say less than that.
+        """
+        gaps, (lower, upper) = np.array([flow.gap for flow in flows]), self._box
+        middle, half = (lower + upper) / 2, (upper - lower) / 2
+        reach = np.empty((gaps.size, flows[0].F.shape[0]))
+        lengths = [self._cell(gap) for gap in gaps.tolist()]
+        whiten = np.array([flow.whiten for flow in flows])
+        for length in set(lengths):
+            at = [k for k, own in enumerate(lengths) if own == length]
+            reach[at] = self._absolute_integrals(length, gaps[at], whiten[at] * self.units) @ half
+        most = _energy(self.weights, half) * discounted_length(self.weights.eta, gaps)
+        reach = np.minimum(reach, np.sqrt(most)[:, None])
+        driven = np.array([flow.integral for flow in flows]) @ (self.plant.G @ middle)
+        centre = np.matmul(whiten, driven[:, :, None])[:, :, 0]
+        return centre - reach, centre + reach
 
-    States count in `units`, so that norms of A mean something.
-    """
-
-    def __init__(self, plant: Plant, units: Array):
-        self.plant, self.units = plant, state_units(plant.A, units)
-        self.A, self.G = plant.A * self.units / self.units[:, None], plant.G / self.units[:, None]
-        self.size = float(np.linalg.norm(self.A, 2))
-        self._grids: dict[float, tuple[Array, Array]] = {}
-
-    def cell(self, gap: float) -> float:
+    def _cell(self, gap: float) -> float:
         """Length of the cells for a gap."""
         longest, shortest = (gap / number for number in CELL_RANGE)
         if self.size == 0:
@@ -150,75 +163,46 @@ class DisturbanceResponses:
         wanted = max(min(CELL / self.size, longest), shortest)
         return 2.0 ** math.floor(math.log2(wanted * self.size) + 1e-9) / self.size
 
-    def over(self, gap: float, length: float) -> tuple[Array, Array]:
+    def _responses(self, gap: float, length: float) -> tuple[Array, Array]:
         """Return e^{As} G in the middle of cells of a length, (n, K, q), and the norms of its columns, (K, q).
 
-        The cells cover the gap; the last one may end beyond it.
+        The cells cover the gap, the last one may end beyond it; all gaps share a grid, made by doubling.
         """
         count = math.ceil(gap / length)
         known = self._grids.get(length)
         if known is None or len(known[1]) < count:
-            known = self._grids[length] = self._grid(length, count)
+            (half,) = expm_batch(self.A, [length / 2])
+            moved, power = (half @ self.G)[:, None, :], half @ half
+            while moved.shape[1] < count:
+                moved = np.concatenate([moved, np.tensordot(power, moved, 1)], axis=1)
+                power = power @ power
+            known = self._grids[length] = moved, np.sqrt(np.einsum("ikj,ikj->kj", moved, moved))
         return known[0][:, :count], known[1][:count]
 
-    def _grid(self, length: float, count: int) -> tuple[Array, Array]:
-        """At least `count` cells, by doubling."""
-        (half,) = expm_batch(self.A, [length / 2])
-        moved, power = (half @ self.G)[:, None, :], half @ half
-        while moved.shape[1] < count:
-            moved = np.concatenate([moved, np.tensordot(power, moved, 1)], axis=1)
-            power = power @ power
-        return moved, np.sqrt(np.einsum("ikj,ikj->kj", moved, moved))
+    def _absolute_integrals(self, d: float, gaps: Array, whiten: Array) -> Array:
+        """Upper bounds on int |phi| over gaps, (N, n, q), from cells of length d.
 
-
-def support_boxes(
-    responses: DisturbanceResponses, weights: CostWeights, flows: Sequence[GapFlow], lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """Return lower and upper bounds on omega, per flow, over all w with `lower` <= w(t) <= `upper`.
-
-    Notes
-    -----
-    *Method.* With phi(s) = L^+ e^{As} G and w = middle + deviation, the middle is exact and the deviation adds at
-    most int |phi| half (`_absolute_integrals`). Nor is any entry's deviation more than that of |omega|, which the cost
-    bounds: over many fast time constants the cells say less than that.
-    """
-    gaps = np.array([flow.gap for flow in flows])
-    middle, half = (lower + upper) / 2, (upper - lower) / 2
-    reach = np.empty((gaps.size, flows[0].F.shape[0]))
-    lengths = [responses.cell(gap) for gap in gaps.tolist()]
-    whiten = np.array([flow.whiten for flow in flows])
-    for length in set(lengths):
-        at = [k for k, own in enumerate(lengths) if own == length]
-        reach[at] = _absolute_integrals(responses, length, gaps[at], whiten[at] * responses.units) @ half
-    reach = np.minimum(reach, np.sqrt(_energy(weights, half) * discounted_length(weights.eta, gaps))[:, None])
-    driven = np.array([flow.integral for flow in flows]) @ (responses.plant.G @ middle)
-    centre = np.matmul(whiten, driven[:, :, None])[:, :, 0]
-    return centre - reach, centre + reach
+        Over a cell with middle m, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and d^2/4 |phi'(m)| more where phi may
+        change sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|. Of a cell only what lies within the gap
+        counts.
+        """
+        A, (n, count) = self.A, (whiten.shape[2], gaps.size)
+        moved, norms = self._responses(float(gaps.max()), d)
+        K, q = norms.shape
+        first = whiten @ A
+        both = np.concatenate([whiten, first]).reshape(-1, n) @ moved.reshape(n, -1)
+        phi, slope = both.reshape(2, count, -1, K, q)
+        bend = np.linalg.norm(first @ A, axis=2) * math.exp(self.size * d / 2)
+        second = bend[:, :, None, None] * norms
+        upto = np.clip(gaps[:, None] - d * np.arange(K), 0.0, d)[:, None, :, None]
+        beyond = upto - d / 2  # the cell counted from its middle: from -d/2 to here
+        size, rise = np.abs(phi), np.abs(slope)
+        turning = size < rise * (d / 2) + second * (d * d / 8)
+        moments = (beyond * np.abs(beyond) + d * d / 4) / 2, (d * d / 4 - beyond**2) / 2  # of |s - m|, and of m - s
+        parts = upto * size + np.where(turning, *moments) * rise + (beyond**3 + d**3 / 8) / 6 * second
+        return np.asarray(parts.sum(axis=2))
 
 
 def _energy(weights: CostWeights, half: Array) -> float:
     """The largest |w|^2_Qw over a box with these half-widths around 0."""
     return float(half @ np.abs(weights.w) @ half)
-
-
-def _absolute_integrals(responses: DisturbanceResponses, d: float, gaps: Array, whiten: Array) -> Array:
-    """Upper bounds on int |phi| over gaps, (N, n, q), from cells of length d.
-
-    Over a cell with middle m, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and d^2/4 |phi'(m)| more where phi may change
-    sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|. Of a cell only what lies within the gap counts.
-    """
-    A, (n, count) = responses.A, (whiten.shape[2], gaps.size)
-    moved, norms = responses.over(float(gaps.max()), d)
-    K, q = norms.shape
-    first = whiten @ A
-    both = np.concatenate([whiten, first]).reshape(-1, n) @ moved.reshape(n, -1)
-    phi, slope = both.reshape(2, count, -1, K, q)
-    bend = np.linalg.norm(first @ A, axis=2) * math.exp(responses.size * d / 2)
-    second = bend[:, :, None, None] * norms
-    upto = np.clip(gaps[:, None] - d * np.arange(K), 0.0, d)[:, None, :, None]
-    beyond = upto - d / 2  # the cell counted from its middle: from -d/2 to here
-    size, rise = np.abs(phi), np.abs(slope)
-    turning = size < rise * (d / 2) + second * (d * d / 8)
-    moments = (beyond * np.abs(beyond) + d * d / 4) / 2, (d * d / 4 - beyond**2) / 2  # of |s - m|, and of m - s
-    parts = upto * size + np.where(turning, *moments) * rise + (beyond**3 + d**3 / 8) / 6 * second
-    return np.asarray(parts.sum(axis=2))

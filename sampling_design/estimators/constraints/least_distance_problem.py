@@ -11,6 +11,9 @@ from sampling_design.estimators.constraints.constrained_signals import Constrain
 from sampling_design.estimators.window.window_estimate import EstimateDeviations
 from sampling_design.records.arrays import Array, Mask
 
+Cone = tuple[Array, Array, float]
+"""M, c, r of |M z + c| <= r."""
+
 
 @dataclass(frozen=True, eq=False)
 class LeastDistance:
@@ -24,7 +27,7 @@ class LeastDistance:
     A: Array
     lower: Array
     upper: Array
-    cones: list[tuple[Array, Array, float]]
+    cones: list[Cone]
     scales: Array
     blocks: list[ConstraintRows]
     cone_owners: list[tuple[ConstrainedSignal, int]]
@@ -82,15 +85,11 @@ class ConstraintDemands:
 
     def pose(self, chosen: list[Mask] | None = None) -> LeastDistance:
         """Return the whole problem, or that of the rows `chosen` per block, without balls."""
-        cones: list[tuple[Array, Array, float]] = []
-        owners: list[tuple[ConstrainedSignal, int]] = []
-        if chosen is None:
-            maps = self._maps()
-            blocks, (cones, owners) = self.rows, _cones(maps)
-            parts = [rows.of(maps[rows.signal]) for rows in blocks]
-        else:
+        blocks = self.rows
+        if chosen is not None:
             blocks = [rows.only(mask) for rows, mask in zip(self.rows, chosen, strict=True) if mask.any()]
-            parts = [self._gradients(rows) for rows in blocks]
+        cones = self._cones() if chosen is None else []
+        parts = [self._gradients(rows) for rows in blocks]
         A = np.concatenate([np.zeros((0, self.size)), *parts]) if len(parts) != 1 else parts[0]
         base, lower, upper = np.zeros((3, A.shape[0]))
         if blocks:
@@ -99,14 +98,16 @@ class ConstraintDemands:
         norms = np.sqrt(np.einsum("ij,ij->i", A, A))
         scales = np.where(norms > 0, norms, 1.0)
         lower, upper = (lower - base) / scales, (upper - base) / scales
-        return LeastDistance(self.size, A / scales[:, None], lower, upper, cones, scales, blocks, owners)
-
-    def _maps(self) -> dict[ConstrainedSignal, Array]:
-        """Every signal with its map from z."""
-        T = self.spread.maps()
-        if self.size > self.states:
-            T = np.concatenate([T, np.zeros((*T.shape[:2], self.size - self.states))], axis=2)
-        return {signal: signal.maps(T, self.states) for signal in self.signals}
+        return LeastDistance(
+            self.size,
+            A / scales[:, None],
+            lower,
+            upper,
+            [cone for cone, _ in cones],
+            scales,
+            blocks,
+            [of for _, of in cones],
+        )
 
     def _gradients(self, rows: ConstraintRows) -> Array:
         """The rows over z: those over the states times T, those over the noise as they are."""
@@ -116,19 +117,18 @@ class ConstraintDemands:
         found[:, : self.states] = self.spread.rows(found[:, : self.states])
         return found
 
-
-def _cones(
-    maps: dict[ConstrainedSignal, Array],
-) -> tuple[list[tuple[Array, Array, float]], list[tuple[ConstrainedSignal, int]]]:
-    """The balls as cones over z, and the signal and the place of each."""
-    cones: list[tuple[Array, Array, float]] = []
-    owners: list[tuple[ConstrainedSignal, int]] = []
-    for signal, over in maps.items():
-        for chosen, places in () if signal.boxed else signal.groups():
-            for ball in chosen.round_balls:
-                for place in places:
-                    cones.append(
-                        (ball.shape @ over[place], ball.shape @ (signal.base[place] - ball.centre), ball.radius)
-                    )
-                    owners.append((signal, int(place)))
-    return cones, owners
+    def _cones(self) -> list[tuple[Cone, tuple[ConstrainedSignal, int]]]:
+        """The balls as cones over z, with the signal and the place of each."""
+        cones: list[tuple[Cone, tuple[ConstrainedSignal, int]]] = []
+        for signal in self.signals:
+            sets = () if signal.boxed else signal.groups()
+            balls = [(ball, k) for chosen, at in sets for ball in chosen.round_balls for k in at.tolist()]
+            if not balls:
+                continue
+            sizes = [len(ball.shape) for ball, _ in balls]
+            places = np.repeat([k for _, k in balls], sizes)
+            none, mix = np.zeros(places.size), np.vstack([ball.shape for ball, _ in balls])
+            over = self._gradients(ConstraintRows(signal, places, places, none, none, mix))
+            for (ball, k), M in zip(balls, np.split(over, np.cumsum(sizes)[:-1]), strict=True):
+                cones.append(((M, ball.shape @ (signal.base[k] - ball.centre), ball.radius), (signal, k)))
+        return cones

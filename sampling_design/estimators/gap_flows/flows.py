@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -53,11 +53,6 @@ class GapFlow:
         W without discount, where a prediction has asked for it.
     """
 
-    __slots__ = (
-        "F", "W", "_arrival", "_band", "_both", "_roots", "_size", "gap", "growth", "inputs", "integral",
-        "undiscounted",
-    )  # fmt: skip
-
     def __init__(
         self,
         gap: float,
@@ -69,63 +64,55 @@ class GapFlow:
         roots: tuple[Array, Array] | None = None,
     ):
         self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
-        self._roots = roots
-        self._band: Array | None = None
-        self._size: Array | None = None
         self.undiscounted: Array | None = None
         self._arrival: tuple[Array, tuple[Array, Array] | None] | None = None
-        self._both: tuple[Array | None, float] | None = None if roots is None else (None, 0.0)
+        if roots is not None:
+            self.__dict__.update(_roots=roots, _ends=(None, 0.0))
 
-    @property
+    @cached_property
     def size(self) -> Array:
         """Return |F|, entry by entry."""
-        if self._size is None:
-            self._size = abs(self.F)
-        return self._size
+        return abs(self.F)
 
     @property
     def root(self) -> Array:
         """Return a root of W."""
-        return self._root_flows()[0]
+        return self._roots[0]
 
     @property
     def whiten(self) -> Array:
         """Return its pseudo-inverse."""
-        return self._root_flows()[1]
+        return self._roots[1]
 
-    def _root_flows(self) -> tuple[Array, Array]:
-        if self._roots is None:
-            self._roots = noise_root(self.W)
-        return self._roots
+    @cached_property
+    def _roots(self) -> tuple[Array, Array]:
+        return noise_root(self.W)
 
     @property
     def joint(self) -> Array | None:
         """Return what states at both ends cost together."""
-        return self._ends()[0]
+        return self._ends[0]
 
     @property
     def loose(self) -> float:
         """Return how far `joint` may be off, relative, as a quadratic form; 0 where there is none."""
-        return self._ends()[1]
+        return self._ends[1]
 
+    @cached_property
     def _ends(self) -> tuple[Array | None, float]:
-        if self._both is None:
-            with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is not inverted
-                self._both = _joint(self.F, self.W)
-        return self._both
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is not inverted
+            return _joint(self.F, self.W)
 
-    @property
+    @cached_property
     def band(self) -> Array:
         """Return its lower triangle, where it is known."""
-        if self._band is None:
-            joint = self.joint
-            assert joint is not None
-            self._band = lower_band(joint, len(self.F))
-        return self._band
+        joint = self.joint
+        assert joint is not None
+        return lower_band(joint, len(self.F))
 
     def known(self, joint: Array, loose: float, band: Array) -> None:
         """Take what was found of many gaps at once."""
-        self._both, self._band = (joint, loose), band
+        self.__dict__.update(_ends=(joint, loose), band=band)
 
     def arrived(self, Y: Array, found: tuple[Array, Array]) -> None:
         """Take what a prior was found to be worth."""

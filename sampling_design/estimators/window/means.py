@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -24,7 +23,7 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, noise_root
 from sampling_design.estimators.online.history import EstimatorState, InputDrift
-from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, EstimateDeviations, WindowEstimate
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, WindowEstimate
 from sampling_design.numerics.filtering import propagate
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
@@ -168,8 +167,9 @@ def with_means(solution: WindowEstimate, reference: Array, means: MeanRows) -> W
     beside = r - U @ inside
     added = float(beside @ beside + np.sum(inside**2 / (1 + s**2)))
     predicted_means = np.linalg.solve(root, means.target)
-    spread = _ReducedDeviations(solution.spread, Z, 1 - 1 / np.sqrt(1 + s**2))
-    last = spread.maps()[-1]
+    spread = replace(solution.spread, known=(Z, 1 - 1 / np.sqrt(1 + s**2)))
+    n, size = len(solution.covariance), flat.shape[1]
+    last = spread.rows(np.eye(n, size, size - n))
     return replace(
         solution,
         nodes=solution.nodes + solution.spread.states(z),
@@ -178,35 +178,3 @@ def with_means(solution: WindowEstimate, reference: Array, means: MeanRows) -> W
         dual=solution.dual + added - DUAL_MARGIN * (added + float(predicted_means @ predicted_means)),
         spread=spread,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _ReducedDeviations:
-    """T Q of a spread T, Q = I - Z' diag(loss) Z with orthonormal rows Z."""
-
-    base: EstimateDeviations
-    Z: Array
-    loss: Array
-
-    def _through(self, g: Array) -> Array:
-        return np.asarray(g - (g @ self.Z.T * self.loss) @ self.Z)
-
-    def covariances(self) -> Array:
-        """Return those of all nodes."""
-        return np.asarray(np.matmul(self._maps, np.swapaxes(self._maps, 1, 2)))
-
-    def states(self, z: Array) -> Array:
-        """Return T Q z, (N+1, n)."""
-        return self.base.states(self._through(z))
-
-    def rows(self, g: Array) -> Array:
-        """Return g T Q for (r, (N+1) n) rows g."""
-        return self._through(self.base.rows(g))
-
-    @cached_property
-    def _maps(self) -> Array:
-        return self._through(self.base.maps())
-
-    def maps(self) -> Array:
-        """Return T Q as (N+1, n, (N+1) n)."""
-        return self._maps

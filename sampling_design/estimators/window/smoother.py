@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sampling_design.estimators.window.means import with_means
-from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, SmootherKernel, WindowEstimate
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, EstimateDeviations, WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import root_update
 from sampling_design.records.arrays import Array
@@ -60,7 +60,7 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     for j in range(count - 2, -1, -1):
         nodes[j] += gains[j] @ (nodes[j + 1] - predicted[j + 1])
     margin = DUAL_MARGIN * (cost + _cost_of_reference(window))
-    found = SmootherKernel(roots, gains)
+    found = EstimateDeviations(roots, gains)
     return WindowEstimate(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
 
 
@@ -156,7 +156,7 @@ def _stack_index(n: int, width: int) -> tuple[Any, Any, Any]:
     return np.clip(a - b, 0, width - 1), b, (a >= b) & (a - b < width)
 
 
-def _kernel(factor: Array, n: int) -> SmootherKernel:
+def _kernel(factor: Array, n: int) -> EstimateDeviations:
     """The inverse L^-T of a banded Cholesky factor L as a recursion from the last node back."""
     width = factor.shape[0]
     columns = factor.reshape(width, -1, n)
@@ -164,7 +164,7 @@ def _kernel(factor: Array, n: int) -> SmootherKernel:
     stacked = np.where(inside[:, None, :], columns[rows, :, cols].transpose(0, 2, 1), 0.0)
     stacked = stacked.transpose(1, 0, 2)  # (N+1, 2n, n): diagonal block on top, the one below under it
     roots = np.swapaxes(np.linalg.solve(stacked[:, :n], np.eye(n)), 1, 2)
-    return SmootherKernel(roots, -roots[:-1] @ np.swapaxes(stacked[:-1, n:], 1, 2))
+    return EstimateDeviations(roots, -roots[:-1] @ np.swapaxes(stacked[:-1, n:], 1, 2))
 
 
 def _cost(window: EstimationWindow, deviation: Array) -> float:

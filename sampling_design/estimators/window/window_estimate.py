@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -15,53 +14,45 @@ DUAL_MARGIN = 1e-11
 """Share of the reference trajectory's cost by which a computed optimum may exceed the exact one (see `smooth`)."""
 
 
-class EstimateDeviations(Protocol):
-    """All trajectories x = x* + T z around a minimiser x*; each costs |z|^2 more."""
-
-    def covariances(self) -> Array:
-        """Return T_j T_j' of every node, (N+1, n, n)."""
-        ...
-
-    def maps(self) -> Array:
-        """Return T as (N+1, n, (N+1) n)."""
-        ...
-
-    def states(self, z: Array) -> Array:
-        """Return T z, (N+1, n)."""
-        ...
-
-    def rows(self, g: Array) -> Array:
-        """Return g T for (r, (N+1) n) rows g."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class SmootherKernel:
-    """x_N = x*_N + S_N z_N, x_j = x*_j + G_j (x_{j+1} - x*_{j+1}) + S_j z_j: roots S (N+1, n, n), gains G (N, n, n)."""
+class EstimateDeviations:
+    """All trajectories x = x* + T z around a minimiser x*; each costs |z|^2 more.
+
+        x_N = x*_N + S_N y_N,    x_j = x*_j + G_j (x_{j+1} - x*_{j+1}) + S_j y_j,    y = Q z
+
+    roots S (N+1, n, n), gains G (N, n, n); Q = I, or I - Z' diag(loss) Z with orthonormal rows Z (K, (N+1) n), of which
+    composite samples say more: `known` = (Z, loss).
+    """
 
     roots: Array
     gains: Array
+    known: tuple[Array, Array] | None = None
+
+    def _through(self, g: Array) -> Array:
+        """Return g Q."""
+        if self.known is None:
+            return g
+        Z, loss = self.known
+        return np.asarray(g - (g @ Z.T * loss) @ Z)
 
     def covariances(self) -> Array:
         """Return T_j T_j' of every node, (N+1, n, n)."""
+        if self.known is not None:
+            T = self.maps()
+            return np.asarray(np.matmul(T, np.swapaxes(T, 1, 2)))
         found: Array = np.matmul(self.roots, np.swapaxes(self.roots, 1, 2))
         for j in range(len(self.gains) - 1, -1, -1):
             found[j] += symmetrise(self.gains[j] @ found[j + 1] @ self.gains[j].T)
         return found
 
     def maps(self) -> Array:
-        """Return T as (N+1, n, (N+1) n): block rows T_j = [0, S_j, G_j S_{j+1}, G_j G_{j+1} S_{j+2}, ...]."""
+        """Return T as (N+1, n, (N+1) n): block rows T_j = [0, S_j, G_j S_{j+1}, G_j G_{j+1} S_{j+2}, ...] Q."""
         count, n = self.roots.shape[:2]
-        T = np.zeros((count, n, count * n))
-        T[-1, :, (count - 1) * n :] = self.roots[-1]
-        for j in range(count - 2, -1, -1):
-            np.matmul(self.gains[j], T[j + 1, :, (j + 1) * n :], out=T[j, :, (j + 1) * n :])
-            T[j, :, j * n : (j + 1) * n] = self.roots[j]
-        return T
+        return self.rows(np.eye(count * n)).reshape(count, n, count * n)
 
     def states(self, z: Array) -> Array:
         """Return T z, (N+1, n)."""
-        found: Array = np.matmul(self.roots, z.reshape(*self.roots.shape[:2], 1))[:, :, 0]
+        found: Array = np.matmul(self.roots, self._through(z).reshape(*self.roots.shape[:2], 1))[:, :, 0]
         for j in range(len(self.gains) - 1, -1, -1):
             found[j] += self.gains[j].dot(found[j + 1])
         return found
@@ -71,7 +62,7 @@ class SmootherKernel:
         led = g.reshape(len(g), *self.roots.shape[:2]).transpose(1, 0, 2).copy()
         for j in range(len(self.gains)):
             led[j + 1] += led[j].dot(self.gains[j])
-        return np.asarray(np.matmul(led, self.roots).transpose(1, 0, 2).reshape(g.shape))
+        return self._through(np.matmul(led, self.roots).transpose(1, 0, 2).reshape(g.shape))
 
 
 @dataclass(frozen=True, eq=False)

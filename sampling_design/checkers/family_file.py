@@ -211,17 +211,14 @@ def lost_samples(read: Tree, plant: Plant) -> LostSamples:
 
 
 def jitter(read: Tree, plant: Plant) -> Jitter:
-    """Deviations that change no order."""
-    path = nominal_of(read["schedule"], plant)
-    if 2 * read["timing_tolerance"] >= path.gaps.min():
-        raise refuse("times.timing_tolerance", "must be less than half of the least gap")
-    most = (read["timing_tolerance"],)
-    return Jitter(path, most, most)
-
-
-def output_jitter(read: Tree, plant: Plant) -> Jitter:
-    """Deviations of each output that keep the order of nominal samples."""
-    path, early, late, p = nominal_of(read["schedule"], plant), read["early"], read["late"], len(plant.C)
+    """Deviations, of whole samples or of each output, that keep the order of nominal samples."""
+    path, p = nominal_of(read["schedule"], plant), len(plant.C)
+    if read["kind"] == "jitter":
+        most = read["timing_tolerance"]
+        if 2 * most >= path.gaps.min():
+            raise refuse("times.timing_tolerance", "must be less than half of the least gap")
+        return Jitter(path, (most,), (most,))
+    early, late = read["early"], read["late"]
     for key, side in (("early", early), ("late", late)):
         if len(side) != p:
             raise refuse(f"times.{key}", f"must have {p} entries, one for each output, got {len(side)}")
@@ -238,7 +235,7 @@ FAMILIES: dict[str, tuple[Reader, Callable[[Tree, Plant], Family]]] = {
     "spaced-windows": (_count, spaced_windows),
     "lost-samples": (table({"kind": text, "schedule": schedule, "most": count, "of": count}), lost_samples),
     "jitter": (table({"kind": text, "schedule": schedule, "timing_tolerance": nonnegative}), jitter),
-    "output-jitter": (table({"kind": text, "schedule": schedule, **_sides}), output_jitter),
+    "output-jitter": (table({"kind": text, "schedule": schedule, **_sides}), jitter),
 }
 """How a certificate file says each kind of family: its table, and the record of its judged parameters.
 

@@ -85,7 +85,7 @@ def forms(name: str, c: Detectability, of: Callable[[Array | float], Number]) ->
 
 def exact(X: Array | float) -> Number:
     """The same numbers without rounding: fractions, in an array of objects where it is one."""
-    return np.vectorize(Fraction, otypes=[object])(X) if isinstance(X, np.ndarray) else Fraction(X)
+    return np.vectorize(Fraction, otypes=[object])(X)[()]
 
 
 def in_floats(name: str, c: Detectability) -> tuple[float, str] | None:

@@ -16,7 +16,7 @@ from .frame import Flows, Frame, dominating, largest, least, size, turned
 from .numbers import EPS, RESOLUTION, Problem, problem, targets
 from .outcome import Proven, Refused, Undecided, WorkLimit, holds
 from .parts import Claim
-from .schedule_file import SAMPLED, Sampled, Times, Witness, of_schedule
+from .schedule_file import NEAR, SAMPLED, Sampled, Times, Witness, of_schedule
 from .strict import Array, Index, Mask
 
 REPLAY = 1e-6  # what a witness may miss of its ratio
@@ -265,14 +265,16 @@ class Windows(Frame):
         now, t, stated = witness.start, witness.t, witness.ratio
         first = int(now / schedule.period) if schedule.periodic else 0
         turns = np.arange(first, int(t / schedule.period) + 2) if schedule.periodic else np.zeros(1)
-        times, Y, E, near = (
-            (self.times + schedule.period * turns[:, None]).ravel(),
-            self.start,
-            self.start_band,
-            1e-9 * t,
-        )
-        for k in np.flatnonzero((times > now + near) & (times < t - near)):
+        times, Y, E = (self.times + schedule.period * turns[:, None]).ravel(), self.start, self.start_band
+        begin, end = now + NEAR * t, t - NEAR * t
+        for k in np.flatnonzero((times > now) & (times < t)):
             self.spend(4)
+            if times[k] <= begin:  # by rounding alone it is in the window, which begins after it
+                now = float(times[k])
+                continue
+            if times[k] >= end:
+                t = float(times[k])
+                break
             Y, E = self.later(Y, E, times[k] - now)
             K = self.gain(Y, k % self.N)
             (Y, left, lost), before = self.after(Y, k % self.N, K), Y

@@ -110,3 +110,15 @@ def test_the_two_routes_agree_on_forged_files(kind):
         assert min(in_floats.left, in_balls.left) > -WORST * WORK, label
         counts[found] = counts.get(found, 0) + 1
     assert counts["bad file", "bad file"] >= len(json.loads(text(kind)))
+
+
+@pytest.mark.parametrize(("more", "said"), [(1.0, "proven"), (1.004, "refuted")])
+def test_a_witness_leaves_out_no_sample_of_its_window(more, said):
+    """A billionth of a late time is no rounding of it: what a sample so near would forbid is not attained."""
+    whole = sd.certify(sd.Plant([[10.0]], [[1.0]]), sd.PeriodicSchedule([1.0]), eta=1.0, P2=[[1.0]]).to_dict()
+    late, near = 99_000.0, 0.999e-9 * 99_000.0
+    peak = {"start": late - near, "t": late + 1 + near, "direction": [1.0]}
+    lams = {key: whole[key] * more for key in ("lam", "lam_samples")}
+    forged = whole | lams | {"witness": peak | {"ratio": whole["witness"]["ratio"] * more}}
+    forged["digest"] = digest(forged)
+    assert verdict(forged).verdict == verify_rigorously(forged).verdict == said

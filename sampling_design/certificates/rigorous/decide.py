@@ -329,7 +329,7 @@ def covariance_bound(
 ) -> Matrix | None:
     """A bound of Y at t in the window from `start`, `lowered` or `raised`; None where rounding leaves none.
 
-    Samples within `NEAR` of either end are not counted.
+    A window begins after a sample that is within `NEAR` of its start, and ends before one within `NEAR` of its end.
     """
     schedule, Y, now = frame.schedule, frame.start, ball(start)
     near, turn = NEAR * max(t, 1e-300), 0 * schedule.period
@@ -338,11 +338,18 @@ def covariance_bound(
     while float(turn) <= t:
         clock.check((100 + frame.n**3) * schedule.N)
         for i, at in enumerate(schedule.times):
-            if start + near < float(at + turn) < t - near and float(turn) >= 0:
-                left = frame.sampled(bound(frame.flow.step(Y, at + turn - now)), i)
+            time = float(at + turn)
+            if not start < time < t or float(turn) < 0:
+                continue
+            if time > start + near:
+                before = bound(frame.flow.step(Y, at + turn - now))
+                if time >= t - near:
+                    return before
+                left = frame.sampled(before, i)
                 if left is None:
                     return None
-                Y, now = bound(left), at + turn
+                Y = bound(left)
+            now = at + turn
         if not schedule.periodic:
             break
         turn += schedule.period

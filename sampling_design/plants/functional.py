@@ -89,7 +89,12 @@ class FunctionalPlant(Plant):
 
     @classmethod
     def of_part(cls, part: Plant, whole: Plant, onto: npt.ArrayLike, rows: int) -> FunctionalPlant:
-        """Return the plant `part` as what `rows` rows of `whole` need, its state `onto` x."""
+        """Return the plant `part` as what `rows` rows of `whole` need, its state `onto` x.
+
+        What is a part of a part is one of the whole.
+        """
+        if isinstance(whole, FunctionalPlant):
+            onto, whole = checks.floats("onto", onto) @ whole.map, whole.whole
         own = {each.name: getattr(part, each.name) for each in fields(Plant)}
         own |= {"whole": whole, "map": onto, "rows": rows}
         return cls(**own)

@@ -22,6 +22,7 @@ from sampling_design import (
     certify,
     design_schedule,
     pareto_front,
+    read_certificate,
     robustness,
     simulate_record,
     validate,
@@ -188,3 +189,14 @@ def test_other_kinds_of_plants_refuse_rows_in_a_sentence():
         validate(unsure, EVERY_SECOND, of="x1")
     with pytest.raises(CallError, match="has no argument `of`"):
         NonlinearMovingHorizonEstimator(van_der_pol(), of="x1")
+
+
+def test_what_a_part_of_a_part_says_is_said_of_the_whole(tmp_path):
+    part = functional_plant(THREE, "x1")
+    inner = functional_plant(part, [[1.0, 2.0]])
+    assert inner.whole is THREE
+    np.testing.assert_allclose(inner.map[:1], [[1.0, 2.0]] @ part.map, rtol=1e-12)
+    made = certify(part, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2))
+    again = read_certificate(made.save(tmp_path / "c.json"))
+    assert again.verify()
+    assert KalmanFilter(THREE, again, of="x1", **BOUNDS).run(RECORD.measurements).certified.all()

@@ -247,14 +247,16 @@ class Interval(TableRecord, PlainRecord):
         if self.t < self.readings.times[-1]:
             raise ArgumentError("A file of an interval is of its last sample or later: of earlier times call verify().")
         readings, found = self.readings, self.disproof
-        lower, upper = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf)
+        lower, upper, proof = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf), None
+        program = _program(readings, self.scales)
         if found is None:
-            program = _program(readings, self.scales)
             for k, row in enumerate(self.rows.matrix):
                 up, down = program.upper(self.t, row, self.gains[k, 0]), program.upper(self.t, -row, self.gains[k, 1])
                 upper[k] = up.value + interval_file.STATED * up.width
                 lower[k] = -down.value - interval_file.STATED * down.width
-        proof = None if found is None else (found.factors, found.gains)
+        else:  # worked out again, as the ends are: what was read from a file is written as it stood there
+            known = {which: factor for which, factor in found.factors.items() if not np.isfinite(factor)}
+            proof = {which: program.growth(which, own) for which, own in found.gains.items()} | known, found.gains
         return interval_file.tree_of(readings, self.t, self.rows, (lower, upper), self.gains, self.scales, proof)
 
     def verify(self, rigorous: bool = False) -> bool:

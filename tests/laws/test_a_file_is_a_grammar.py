@@ -341,6 +341,15 @@ def sweep_intervals(folder, most=MOST, seed=0):
     return found
 
 
+@pytest.mark.parametrize("v_bound", [0.3, 1e-9])
+def test_what_was_read_of_an_interval_is_written_as_it_stood(v_bound, tmp_path):
+    record = [(0.5, [0.1, 0.2], None), (1.3, [np.nan, 0.3], None), (2.0, [0.2, np.nan], None)]
+    found = state_interval(TWO, record, w_bound=0.1, v_bound=v_bound, initial_error=2.0)
+    assert (found.disproof is None) == (v_bound > 1e-3)
+    first = found.save(tmp_path / "first.json")
+    assert Interval.read(first).save(tmp_path / "again.json").read_text() == first.read_text()
+
+
 def test_a_changed_interval_is_refused_or_true(tmp_path):
     found = sweep_intervals(tmp_path)
     assert min(found.get(how, 0) for how in ("bad file", "refuted", "proven")) > 0

@@ -15,7 +15,7 @@ import numpy as np
 
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sampled_system import SampledSystem
-from sampling_design.accuracy.start import ErrorBefore
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram, StageSolution
@@ -60,7 +60,7 @@ def boxed(system: SampledSystem, nodes: list[int]) -> bool:
 class ConeWindow:
     """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them."""
 
-    def __init__(self, system: SampledSystem, nodes: list[int], start: ErrorBefore, tolerance: float = TOLERANCE):
+    def __init__(self, system: SampledSystem, nodes: list[int], start: InitialSet, tolerance: float = TOLERANCE):
         self.system, self.nodes, self.start = system, nodes, start
         self._tolerance = tolerance
         self._stages = self._staged()
@@ -181,7 +181,7 @@ class ConeWindow:
             if k:
                 F = system.gap(self.nodes[k - 1]).F
                 true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
-        return gains if self.start.rows >= mu.size else cleared(self.system, self.nodes, self.start, mu, gains)
+        return gains if self.start.whole else cleared(self.system, self.nodes, self.start, mu, gains)
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
         """Return what any gains prove, for all real times."""

@@ -25,6 +25,42 @@ NoiseBound: TypeAlias = Bound | Mapping[str, Entry | Sensor]
 
 
 @dataclass(frozen=True, eq=False)
+class BoundedSet:
+    """The values centre + root a, |a| <= 1 in the Euclidean norm (`ball`) or entry by entry; all, if `unbounded`."""
+
+    centre: Array  # (n,)
+    root: Array  # (n, m)
+    ball: bool
+    unbounded: bool = False
+
+    @classmethod
+    def box(cls, centre: Array, half: Array, ball: bool = False) -> BoundedSet:
+        """Return the set of given half-widths (n,); those of a ball are its half-axes."""
+        return cls(freeze(centre), freeze(np.diag(half)), ball)
+
+    @classmethod
+    def of(cls, name: str, bound: npt.ArrayLike | None, n: int) -> BoundedSet:
+        """Return the set about 0 as typed by a user: a number (Euclidean), one for each entry, or None.
+
+        Raises ArgumentError if it is negative or of another shape.
+        """
+        if bound is None:
+            return cls(freeze(np.zeros(n)), freeze(np.zeros((n, n))), False, unbounded=True)
+        size = checks.bound(name, bound, n)
+        return cls.box(np.zeros(n), np.broadcast_to(size, (n,)), size.ndim == 0 and n > 1)
+
+    @property
+    def half_widths(self) -> Array:
+        """(n,) of the least box around it."""
+        return np.asarray(np.linalg.norm(self.root, axis=1) if self.ball else np.abs(self.root).sum(axis=1))
+
+    def support(self, row: Array) -> float:
+        """The largest row'(x - centre)."""
+        weights = self.root.T @ row
+        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
+
+
+@dataclass(frozen=True, eq=False)
 class SignalBounds:
     """|w(t)| <= w and |v_j| <= v_j in the Euclidean norm ("ball"), or entry by entry ("box")."""
 

@@ -20,19 +20,19 @@ is one of C x(t) + D u(t) that lies between two ends.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import (
     CensoredReading,
-    DisturbanceSet,
     RecordRow,
     RowReading,
-    StartError,
     gathered,
     input_at,
 )
@@ -56,7 +56,7 @@ Known = Callable[[Array], tuple[Array, Array]]  # lower and upper ends (r,) of r
 
 def resolved(
     plant: Plant,
-    disturbance: DisturbanceSet,
+    disturbance: BoundedSet,
     inputs: Sequence[tuple[float, Array]],
     t: float,
     censored: tuple[CensoredReading, ...],
@@ -124,7 +124,7 @@ class TimeShift:
     def __init__(
         self,
         plant: Plant,
-        disturbance: DisturbanceSet,
+        disturbance: BoundedSet,
         inputs: Sequence[tuple[float, Array]],
         t: float,
         output: int,
@@ -167,7 +167,7 @@ class TimeShift:
         self._moved = self._driven(plant, disturbance, C, abs(end - t), sign)
 
     @staticmethod
-    def _driven(plant: Plant, disturbance: DisturbanceSet, C: Array, length: float, sign: float) -> float:
+    def _driven(plant: Plant, disturbance: BoundedSet, C: Array, length: float, sign: float) -> float:
         """What w adds over the whole side at most: int h_W(G'e^{A's}C') ds."""
         G = plant.G @ disturbance.root
         if length == 0 or not G.any():
@@ -212,7 +212,7 @@ class _Reading(NamedTuple):
 
 def start_of_dated(
     plant: Plant,
-    disturbance: DisturbanceSet,
+    disturbance: BoundedSet,
     inputs: Inputs,
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array],
@@ -225,8 +225,8 @@ def start_of_dated(
     """
     flows = _flows(plant, disturbance, inputs, start, [item.t for item in samples])
     x = _fitted(plant, inputs, samples, flows, noise, before)
-    still = DisturbanceSet(freeze(np.zeros(plant.n_disturbances)), disturbance.root, disturbance.ball)
-    here = DisturbanceSet(disturbance.centre, freeze(np.zeros_like(disturbance.root)), disturbance.ball)
+    still = replace(disturbance, centre=np.zeros(plant.n_disturbances))
+    here = replace(disturbance, root=np.zeros_like(disturbance.root))
     censored: list[_Reading] = []
     for item, M, size, middle in zip(samples, flows, *noise, strict=True):
         xi = M @ np.append(x, 1.0)
@@ -249,7 +249,7 @@ def start_of_dated(
     return None if found is None else (freeze(x), freeze(found))
 
 
-def _bounded(plant: Plant, disturbance: DisturbanceSet, censored: Sequence[_Reading], start: float) -> Array | None:
+def _bounded(plant: Plant, disturbance: BoundedSet, censored: Sequence[_Reading], start: float) -> Array | None:
     """How large each entry of d may be at the start; None where nothing bounds it."""
     before, tried = np.zeros(len(censored)), np.zeros(len(censored))
     for _ in range(TURNS):
@@ -271,14 +271,14 @@ def _bounded(plant: Plant, disturbance: DisturbanceSet, censored: Sequence[_Read
 
 
 def _program(
-    plant: Plant, disturbance: DisturbanceSet, censored: Sequence[_Reading], added: Array, start: float
+    plant: Plant, disturbance: BoundedSet, censored: Sequence[_Reading], added: Array, start: float
 ) -> RecordProgram:
     """The program of trajectories that read zero within the sizes and what is added to them."""
     rows: dict[float, tuple[RowReading, ...]] = {start: ()}
     for each, more in zip(censored, added.tolist(), strict=True):
         rows[each.t] = (*rows.get(each.t, ()), RowReading(plant.C[each.output], 0.0, each.size + more))
-    nothing = freeze(np.zeros(plant.n_states))
-    return RecordProgram(gathered(plant, disturbance, StartError(), nothing, start, sorted(rows.items()), ball=False))
+    unknown = BoundedSet.of("initial_error", None, plant.n_states)
+    return RecordProgram(gathered(plant, disturbance, unknown, start, sorted(rows.items()), ball=False))
 
 
 def _at(x: Array, rows: Array) -> tuple[Array, Array]:
@@ -304,9 +304,7 @@ def _ends(sides: Sequence[TimeShift], known: Callable[[Array], tuple[Array, Arra
     return (least, most) if np.isfinite([least, most]).all() else (-np.inf, np.inf)
 
 
-def _flows(
-    plant: Plant, disturbance: DisturbanceSet, inputs: Inputs, start: float, times: Sequence[float]
-) -> list[Array]:
+def _flows(plant: Plant, disturbance: BoundedSet, inputs: Inputs, start: float, times: Sequence[float]) -> list[Array]:
     """M (n, n + 1) for each time: x(t) = M (x(start), 1) with the inputs and the disturbance's middle."""
     n, now, flow, found = plant.n_states, start, np.eye(plant.n_states + 1), list[Array]()
     for t in times:

@@ -51,7 +51,7 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     G = plant.G * bounds.w / balance[:, None]
     F, W = discounted_flow(A, G @ G.T, steps)
     W = W * float(np.mean(steps))
-    known = np.linalg.norm(initial.S * balance, axis=0)  # what nothing drives shows what the start does to it
+    known = np.linalg.norm(initial.rows * balance, axis=0)  # what nothing drives shows what the start does to it
     begun = np.divide(1.0, known, out=np.zeros_like(known), where=known > 0)
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W if W.any() else np.diag(begun**2)[None])
     D = _scales(F, W, rows, known)
@@ -63,7 +63,7 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     roots, samples = [], []
     for j, H in enumerate(rows):
         K, P = update_with_gain(P, H)[1], information_update(P, H.T @ H)
-        roots.append(covariance_root(P))
+        roots.append(coordinate_root(P))
         K = np.asarray(np.linalg.solve(roots[j], K))
         samples.append(MeasurementModel(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
         P = propagate(P, F[j], W[j]) if j < len(lengths) else P
@@ -74,8 +74,8 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     return SampledSystem(plant, bounds, D, L, A, G, tuple(samples), gaps, start=start, last=last, known=initial.exact)
 
 
-def covariance_root(P: Array) -> Array:
-    """A root of a covariance, for coordinates only: where rounding has made it indefinite, a little is added."""
+def coordinate_root(P: Array) -> Array:
+    """A root of a covariance for coordinates alone: where rounding has made it indefinite, a little is added."""
     if not np.all(np.diag(P) > 0):
         raise too_far()
     d = np.sqrt(np.diag(P))
@@ -102,7 +102,7 @@ def _scales(F: Array, W: Array, rows: list[Array], known: Array) -> Array:
 
 def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Array:
     """Covariance at the start; `free` where nothing is known."""
-    known = initial.S * D
+    known = initial.rows * D
     information = known.T @ known + np.eye(D.size) / free
     information[initial.exact, initial.exact] += 1 / NO_ERROR
     return np.asarray(np.linalg.inv(information))
@@ -116,7 +116,7 @@ def finite_directions(system: SampledSystem, given: Sequence[Array] = ()) -> lis
     start = system.start
     assert start is not None
     n = system.D.size
-    free = start.free(n)
+    free = start.free()
     observed: list[Array] = []
     found: list[BoundedDirections] = []
     known: list[Array | None] = []
@@ -133,7 +133,7 @@ def finite_directions(system: SampledSystem, given: Sequence[Array] = ()) -> lis
 def determined_at(system: SampledSystem, path: list[int]) -> Array:
     """Orthonormal columns that span what the samples of a path from the start determine at its last node."""
     assert system.start is not None
-    free, observed = system.start.free(system.D.size), list[Array]()
+    free, observed = system.start.free(), list[Array]()
     if not free.shape[1]:
         return np.eye(len(free))
     for k, node in enumerate(path):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, noise_cost
-from sampling_design.accuracy.start import ErrorBefore, StartSet
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 
@@ -26,7 +26,7 @@ class Gains:
     gains: tuple[Array, ...]  # (p_k,) in units of the noise
 
 
-def evaluated(system: SampledSystem, nodes: list[int], start: ErrorBefore, mu: Array, gains: list[Array]) -> Gains:
+def evaluated(system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: list[Array]) -> Gains:
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains)."""
     cost, g, scale, _ = followed_back(system, nodes, mu[:, None], lambda k, _: gains[k][:, None])
     total = float(cost[0]) + start.support(g[:, 0], float(scale[0]))
@@ -78,7 +78,7 @@ def filter_gains(system: SampledSystem, nodes: list[int], mu: Array) -> list[Arr
     return gains
 
 
-def filtered_bounds(system: SampledSystem, j: int, start: StartSet, known: list[Array | None], mu: Array) -> Array:
+def filtered_bounds(system: SampledSystem, j: int, start: InitialSet, known: list[Array | None], mu: Array) -> Array:
     """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a system with a start.
 
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
@@ -87,22 +87,22 @@ def filtered_bounds(system: SampledSystem, j: int, start: StartSet, known: list[
 
 
 def path_bounds(
-    system: SampledSystem, nodes: list[int], start: StartSet, known: Callable[[int], Array | None], mu: Array
+    system: SampledSystem, nodes: list[int], start: InitialSet, known: Callable[[int], Array | None], mu: Array
 ) -> Array:
     """Return the same of mu'z at the last of some nodes that begin at the start."""
     total, g, scale, reach = followed_back(system, nodes, mu, lambda k, g: system.samples[nodes[k]].K.T @ g, known)
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
-    if start.rows < len(mu):  # what is free at the start must not be touched
+    if not start.whole:  # what is free at the start must not be touched
         corrected = [cleared(system, nodes, start, column, filter_gains(system, nodes, column)) for column in mu.T]
         return np.array([evaluated(system, nodes, start, *each).value for each in zip(mu.T, corrected, strict=True)])
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
 
 
-def cleared(system: SampledSystem, nodes: list[int], start: ErrorBefore, mu: Array, gains: list[Array]) -> list[Array]:
+def cleared(system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: list[Array]) -> list[Array]:
     """Return gains, changed as little as can be so that nothing is left of what is free at the start."""
-    free = start.free(mu.size)
+    free = start.free()
     outputs, flow = [], free
     for k, j in enumerate(nodes):
         flow = system.gap(nodes[k - 1]).F @ flow if k else flow

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from sampling_design import __version__
-from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError
+from sampling_design.accuracy.bounds import BoundedSet
+from sampling_design.accuracy.readings import Readings, RowReading
 from sampling_design.checkers import claims
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.parts import FORMAT, digest
@@ -38,7 +39,7 @@ def tree_of(
     disproof: tuple[dict[str, float], dict[str, Array]] | None,
 ) -> dict[str, Plain]:
     """Return the plain data of an interval's file, digest included; the ends are those that the gains prove."""
-    root = readings.start.root
+    start = readings.start
     data: dict[str, Plain] = {
         "format": FORMAT,
         "claim": CLAIM,
@@ -51,9 +52,9 @@ def tree_of(
         "scales": scales.tolist(),
         "start": {
             "time": float(readings.times[0]),
-            "centre": readings.centre.tolist(),
-            "root": None if root is None else root.tolist(),
-            "ball": bool(readings.start.ball),
+            "centre": start.centre.tolist(),
+            "root": None if start.unbounded else start.root.tolist(),
+            "ball": bool(start.ball),
         },
         "w": {
             "centre": readings.disturbance.centre.tolist(),
@@ -115,11 +116,11 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
 
 def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, RequestedRows]:
     """Return readings and rows of a file that was read."""
+    root = np.zeros((plant.n_states, plant.n_states)) if found.root is None else found.root
     readings = Readings(
         plant=plant,
-        disturbance=DisturbanceSet(freeze(found.w_centre), freeze(found.w_root), found.w_ball),
-        start=StartError(None if found.root is None else freeze(found.root), found.start_ball),
-        centre=freeze(found.centre),
+        disturbance=BoundedSet(freeze(found.w_centre), freeze(found.w_root), found.w_ball),
+        start=BoundedSet(freeze(found.centre), freeze(root), found.start_ball, found.root is None),
         times=freeze(found.times),
         rows=tuple(
             tuple(RowReading(freeze(r.row), r.y, r.size, r.below, r.since) for r in some) for some in found.readings

@@ -292,7 +292,7 @@ def _ellipsoid(
         period = in_turn(CovarianceMap(f / np.sqrt(k), G / k, w) for f, w, G, k in steps)
         X = strong(period, np.eye(n) * DIFFUSE, WALK)
     else:
-        S = initial.S * system.D
+        S = initial.rows * system.D
         known = S.T @ S / (1.0 if initial.ball else max(len(S), 1)) + np.eye(n) / DIFFUSE
         known[initial.exact, initial.exact] += DIFFUSE
         X = np.asarray(np.linalg.inv(known))

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
@@ -30,44 +31,6 @@ Arrived = tuple[float | tuple[float, float], object, npt.ArrayLike | None]
 
 
 Row = TypeVar("Row")
-
-
-@dataclass(frozen=True, eq=False)
-class StartError:
-    """What is known of the error at the start: e = root a, |a| <= 1 in the Euclidean norm (`ball`) or entry by entry.
-
-    Without a root nothing is known.
-    """
-
-    root: Array | None = None
-    ball: bool = False
-
-    @classmethod
-    def of(cls, plant: Plant, bound: npt.ArrayLike | None) -> StartError:
-        """Return a bound as typed by a user: None, a number (Euclidean), or one for each entry.
-
-        Raises ArgumentError if it is negative or of another shape.
-        """
-        if bound is None:
-            return cls()
-        n = plant.n_states
-        size = checks.bound("initial_error", bound, n)
-        return cls(freeze(np.diag(np.broadcast_to(size, (n,)))), size.ndim == 0 and n > 1)
-
-    def support(self, rest: Array) -> float:
-        """Return h(rest), a root given."""
-        assert self.root is not None
-        weights = self.root.T @ rest[: len(self.root)]
-        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
-
-
-@dataclass(frozen=True, eq=False)
-class DisturbanceSet:
-    """The disturbances that may be: w = centre + root a, |a| <= 1 in the Euclidean norm (`ball`) or entry by entry."""
-
-    centre: Array
-    root: Array
-    ball: bool
 
 
 class RowReading(NamedTuple):
@@ -265,9 +228,8 @@ class Readings:
     """All that is known of a plant up to some time."""
 
     plant: Plant
-    disturbance: DisturbanceSet
-    start: StartError  # of x(times[0]) - centre
-    centre: Array  # (n,)
+    disturbance: BoundedSet
+    start: BoundedSet  # of x(times[0])
     times: Array  # (K,): increasing; at each some rows (or none) were read
     rows: tuple[tuple[RowReading, ...], ...]  # those of each time; y less D u
     ball: bool  # the sizes of the two-sided rows of one time bound a Euclidean norm together
@@ -350,8 +312,8 @@ class Readings:
     def nominal(self) -> Array:
         """(K, n) the state that flows from the centre with the inputs and the centre of w, integrals reset."""
         x, pieces = np.zeros(len(self.A)), []
-        x[: self.plant.n_states] = self.centre
-        if not (self.inputs or np.any(self.centre) or np.any(self.disturbance.centre)):
+        x[: self.plant.n_states] = self.start.centre
+        if not (self.inputs or np.any(self.start.centre) or np.any(self.disturbance.centre)):
             return np.zeros((len(self.times), len(x)))
         marks = self.times.tolist()
         for a, b in pairwise(marks):
@@ -414,9 +376,8 @@ class Readings:
 
 def gathered(
     plant: Plant,
-    disturbance: DisturbanceSet,
-    start: StartError,
-    centre: Array,
+    disturbance: BoundedSet,
+    start: BoundedSet,
     begin: float,
     rows: Sequence[tuple[float, tuple[RowReading, ...]]],
     *,
@@ -439,10 +400,10 @@ def gathered(
                 )
             spans[row.H.tobytes()] = t
             at.setdefault(row.since, ())
-    if start.root is not None or not at:  # nothing is known of a state: neither of what it was before the first row
+    if not start.unbounded or not at:  # nothing is known of a state: neither of what it was before the first row
         at.setdefault(begin, ())
     times = sorted(at)
-    return Readings(plant, disturbance, start, centre, freeze(times), tuple(at[t] for t in times), ball, inputs)
+    return Readings(plant, disturbance, start, freeze(times), tuple(at[t] for t in times), ball, inputs)
 
 
 class RecordRow(NamedTuple):

@@ -36,7 +36,7 @@ class RecordCones:
         self._residuals = readings.residuals - np.einsum("rn,rn->r", H, path[readings.nodes])
         self._K, self._n, self._q = len(readings.times), len(D), readings.G.shape[1]
         root = readings.start.root
-        self._starts = 0 if root is None else root.shape[1]
+        self._starts = 0 if readings.start.unbounded else root.shape[1]
         self._cells = int(sum(len(own) for own in cells))
         self._w_at = self._starts + self._K * self._n
         self.columns = self._w_at + self._q * self._cells
@@ -46,7 +46,7 @@ class RecordCones:
         table = ConeTable(self.columns)
         with np.errstate(over="ignore", invalid="ignore"):  # a flow may overflow: no solver takes it, and no bound is
             self._flow(table, np.asarray(np.linalg.solve(L, F @ L)), cells, L)
-        if root is not None:
+        if not readings.start.unbounded:
             longer = np.zeros((self._n, self._starts))
             longer[: len(root)] = root
             turned = -np.asarray(np.linalg.solve(L, longer / D[:, None]))

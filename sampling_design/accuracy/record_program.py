@@ -85,7 +85,7 @@ def _units(readings: Readings, lengths: Array) -> Array:
         with np.errstate(over="ignore", invalid="ignore"):
             W = discounted_flow(readings.A, readings.G @ readings.G.T, lengths)[1].mean(axis=0)
         spread = np.nan_to_num(W) * float(np.mean(lengths))
-    if readings.start.root is not None:
+    if not readings.start.unbounded:
         root = readings.start.root
         spread[: len(root), : len(root)] += root @ root.T
     moved = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", H, spread, H), 0.0))
@@ -157,7 +157,7 @@ class RecordProgram:
         """Gains (R, n) of the filter with the same bounds as deviations, and its covariance at the end, for scaling."""
         read, n, D = self.readings, len(self.table.D), self.table.D
         P = np.eye(n) * DIFFUSE
-        if read.start.root is not None:
+        if not read.start.unbounded:
             root = np.zeros((n, n))
             root[: len(read.start.root), : read.start.root.shape[1]] = read.start.root
             root = root / D[:, None]
@@ -252,7 +252,7 @@ class RecordProgram:
         read = self.readings
         last = np.flatnonzero((read.nodes == len(read.times) - 1) & ~read.below)
         few = np.count_nonzero(~read.below) < len(row)
-        asked = self._grown or (few and read.start.root is None)
+        asked = self._grown or (few and read.start.unbounded)
         if t != read.times[-1] or not (asked and last.size):
             return found
         own, gains = read.H[last, : row.size], np.zeros(len(read.H))
@@ -363,7 +363,7 @@ class RecordProgram:
 
     def _left_nothing(self, c: Array, gains: Array) -> Array:
         """Gains after the least change that takes away what they leave of a free start."""
-        if self.readings.start.root is not None:
+        if not self.readings.start.unbounded:
             return gains
         return self._free.without(gains, self._begun(c), lambda own: self._costates(c, own)[1])
 
@@ -456,10 +456,10 @@ class RecordProgram:
         w = self._quadrature.integral(costates, read.disturbance.ball) if len(costates) else 0.0
         if np.any(gains[read.below] < 0):
             return GainCost(0.0, np.inf, w, 0.0)
-        if read.start.root is not None:
-            start = read.start.support((rest / self.table.D)[: read.plant.n_states])
-        else:
+        if read.start.unbounded:
             start = 0.0 if self._closed(c, gains, rest) else np.inf
+        else:
+            start = read.start.support((rest / self.table.D)[: read.plant.n_states])
         return GainCost(float(gains @ read.residuals), start, w, self._noise(gains))
 
     def _noise(self, gains: Array) -> float:

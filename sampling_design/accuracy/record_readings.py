@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from typing import TypeAlias
@@ -11,16 +12,14 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.bounds import Bound, BoundedSet, SignalBounds
 from sampling_design.accuracy.dated_start import resolved, start_of_dated
 from sampling_design.accuracy.readings import (
     Arrived,
     CensoredReading,
-    DisturbanceSet,
     Readings,
     RecordRow,
     RowReading,
-    StartError,
     arrived,
     censored_rows,
     gathered,
@@ -31,7 +30,6 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
 
 MOST_CASES = 3000  # sets of samples that may be left out: some seconds for a small plant
 
@@ -87,15 +85,15 @@ def read_record(
         measured[k, [each.output for each in item.censored]] = True
     bounds = SignalBounds.of(plant, len(y), measured, w_bound, v_bound, times)
     centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
-    disturbance = DisturbanceSet(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
+    disturbance = BoundedSet.box(centre_w, bounds.w, bounds.w_ball)
     centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
-    error = StartError.of(plant, initial_error)
-    if spans and error.root is None:
+    begun_in = replace(BoundedSet.of("initial_error", initial_error, plant.n_states), centre=centre)
+    if spans and begun_in.unbounded:
         proven = start_of_dated(plant, disturbance, inputs, samples, (bounds.v, centre_v), start)
-        centre, error = (centre, error) if proven is None else (proven[0], StartError.of(plant, proven[1]))
+        begun_in = begun_in if proven is None else BoundedSet.box(*proven)
 
     def read(rows: Rows) -> Readings:
-        return gathered(plant, disturbance, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
+        return gathered(plant, disturbance, begun_in, start, rows, ball=bounds.v_ball, inputs=inputs)
 
     said = _one_by_one(plant, disturbance, inputs, samples, (bounds.v, centre_v), read)
     rows = [(item.t, own) for item, (_, own) in zip(samples, said, strict=True)]
@@ -106,27 +104,25 @@ def read_record(
 
 def censored_together(
     plant: Plant,
-    disturbance: DisturbanceSet,
+    disturbance: BoundedSet,
     inputs: Sequence[tuple[float, Array]],
     samples: Sequence[RecordRow],
-    noise: tuple[Array, Array, bool],
+    noise: BoundedSet,
     start: float,
     before: bool,
 ) -> tuple[tuple[Array, Array], list[tuple[CensoredReading, ...]]] | None:
     """Return a box of the start (middle, half-widths), and what readings of uncertain times say together of theirs.
 
-    Of the start nothing else is known; None if they bound nothing. Samples are less D u; `noise`: sizes (p,), middles,
-    and whether it is one ball.
+    Of the start nothing else is known; None if they bound nothing. Samples are less D u.
     """
-    size, middle, ball = noise
-    every = np.tile(size, (len(samples), 1)), np.tile(middle, (len(samples), 1))
+    every = np.tile(noise.half_widths, (len(samples), 1)), np.tile(noise.centre, (len(samples), 1))
     proven = start_of_dated(plant, disturbance, inputs, samples, every, start, before)
     if proven is None:
         return None
-    centre, error = proven[0], StartError.of(plant, proven[1])
+    begun_in = BoundedSet.box(*proven)
 
     def read(rows: Rows) -> Readings:
-        return gathered(plant, disturbance, error, centre, start, rows, ball=ball, inputs=tuple(inputs))
+        return gathered(plant, disturbance, begun_in, start, rows, ball=noise.ball, inputs=tuple(inputs))
 
     return proven, [
         row for row, _ in _one_by_one(plant, disturbance, inputs, samples, every, read, before, waiting=True)
@@ -135,7 +131,7 @@ def censored_together(
 
 def _one_by_one(
     plant: Plant,
-    disturbance: DisturbanceSet,
+    disturbance: BoundedSet,
     inputs: Sequence[tuple[float, Array]],
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array],

@@ -11,7 +11,7 @@ from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
-from sampling_design.accuracy.start import InitialError, InitialSet, StartSet
+from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.plant import Plant
@@ -135,7 +135,7 @@ class PeriodicGains:
         search.back = max([len(g) for part in found.proof for g in part.gains], default=8)
         self._back, self._p, self._n = search.back, plant.n_outputs, plant.n_states
         self._phases = [_phase(search, plant, found, j) for j in range(len(system))]
-        self._start: StartSet = start.scaled(system.D[:, None] * system.L[first % len(system)], system.D, TINY)
+        self._start = start.scaled(system.D[:, None] * system.L[first % len(system)], system.D, TINY)
         self._x = np.array(checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states))
         self._x = self._x + start.centre
         self._innovations = np.zeros(2 * self._back * self._p)

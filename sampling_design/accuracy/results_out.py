@@ -113,7 +113,7 @@ def with_branches(system: SampledSystem, directions: list[BoundedDirections]) ->
     Raises UndecidedError where something free has decayed so far that doubles cannot tell what is left.
     """
     found = NodeBounds(system, directions)
-    free = system.start is not None and system.start.free(system.D.size).shape[1]
+    free = system.start is not None and system.start.free().shape[1]
     return found[:] if free else found
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
-from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.unknown_start import FreeResponses
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, covariance_root, information_update, update_with_gain
@@ -130,7 +130,7 @@ class SampledSystem:
     G: Array
     samples: tuple[MeasurementModel, ...]
     gaps: tuple[GapDynamics, ...]
-    start: StartSet | None = None  # of z_0 in a finite system
+    start: InitialSet | None = None  # of z_0 in a finite system
     last: float = 0.0  # how long a finite system goes on after its last sample
     known: Mask | None = None  # (n,): entries of x that are exactly their centre at the start
     # how many of the last entries of every z no sample of an endless system shows: they move on by themselves, and the

@@ -13,7 +13,7 @@ from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenS
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
-from sampling_design.accuracy.start import ErrorBefore, ErrorReach
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -126,7 +126,7 @@ class GainSearch:
         )
         return tuple(size * lam for lam in gains.gains)
 
-    def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], ErrorBefore]:
+    def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], InitialSet]:
         """The last samples up to j, and what is known before the first of them."""
         nodes = self.system.nodes(j, count)
         if self.system.start is not None:
@@ -135,9 +135,9 @@ class GainSearch:
             if not self.system.sample_of(nodes[0]):
                 return nodes, self.system.start
         if from_zero:
-            return nodes, ErrorReach(np.zeros(self.system.D.size))
+            return nodes, InitialSet.box(np.zeros(self.system.D.size))
         known = self.system.reach[nodes[0]] if self.system.start is None else self.directions[nodes[0]].reach
-        return nodes, ErrorReach(known)
+        return nodes, InitialSet.box(known)
 
     def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""

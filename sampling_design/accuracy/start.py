@@ -26,105 +26,93 @@ NOTHING = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class StartSet:
-    """|S z| <= 1 in the Euclidean norm ("ball") or entry by entry; z is free where S says nothing, and without S.
+class InitialSet:
+    """An error e at the start with |S (e - centre)| <= size row by row, or <= 1 in the Euclidean norm ("ball").
 
-    Rows of S are independent of each other.
+    Rows of S are independent of each other; e is free where they say nothing. Where a size is 0, the row is that of an
+    entry that is known exactly; sizes of a ball are 1.
     """
 
-    S: Array | None
+    S: Array  # (k, n): no rows: nothing is known
+    size: Array  # (k,)
     ball: bool
-
-    @property
-    def rows(self) -> int:
-        """How many rows S has."""
-        return 0 if self.S is None else len(self.S)
-
-    def support(self, rest: Array, scale: float) -> float:
-        """h_start(rest). What is free costs nothing if the rest is rounding there, and everything else."""
-        if self.S is None:
-            return 0.0 if np.linalg.norm(rest) <= NOTHING * scale else np.inf
-        if self.S.shape[0] == self.S.shape[1]:
-            weights = np.linalg.solve(self.S.T, rest)
-        else:
-            weights = np.linalg.lstsq(self.S.T, rest)[0]
-            if np.linalg.norm(rest - self.S.T @ weights) > NOTHING * scale:
-                return np.inf
-        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
-
-    def free(self, n: int) -> Array:
-        """Orthonormal columns (n, m) that span what S says nothing about."""
-        if self.S is None or not len(self.S):
-            return np.eye(n)
-        return np.asarray(np.linalg.svd(self.S / np.linalg.norm(self.S, axis=1, keepdims=True))[2][len(self.S) :].T)
-
-    def excess(self, z: Array) -> float:
-        """The factor by which z lies outside."""
-        if self.S is None:
-            return 0.0
-        inside = self.S @ z
-        return float(np.linalg.norm(inside) if self.ball else np.max(np.abs(inside), initial=0.0))
-
-    def staged(self) -> tuple[bool, Array | None]:
-        """Whether a program over stages takes the set, and its rows."""
-        return not self.ball and self.S is not None and self.S.shape[0] == self.S.shape[1], self.S
-
-    def pose(self, table: ConeTable, *, ball: bool) -> None:
-        """Add the set to a program whose first variables are z, where it is of that kind."""
-        if self.S is not None and self.ball and ball:
-            table.ball(0, self.S)
-        elif self.S is not None and not self.ball and not ball:
-            table.box(0, self.S, np.ones(len(self.S)))
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorReach:
-    """|z| <= reach entry by entry before the first of some samples, by the gains of those before it; at rest: z = 0."""
-
-    reach: Array
-
-    @property
-    def rows(self) -> int:
-        """Every entry is bounded."""
-        return self.reach.size
-
-    def support(self, rest: Array, scale: float) -> float:
-        """h_start(rest)."""
-        return float(np.abs(rest) @ self.reach)
-
-    def free(self, n: int) -> Array:
-        """Nothing is free."""
-        return np.zeros((n, 0))
-
-    def staged(self) -> tuple[bool, Array | None]:
-        """Whether a program over stages takes the set, and its rows: none at rest."""
-        if self.reach.all():
-            return True, np.diag(1 / self.reach)
-        return not self.reach.any(), None
-
-    def pose(self, table: ConeTable, *, ball: bool) -> None:
-        """Add the set to a program whose first variables are z."""
-        if not ball:
-            table.box(0, np.eye(self.reach.size), self.reach)
-
-
-ErrorBefore: TypeAlias = StartSet | ErrorReach
-"""What is known before the first sample of a window: at the start of a record, or of the past of an endless one."""
-
-
-@dataclass(frozen=True, eq=False)
-class InitialSet:
-    """The error x(start) - xbar: |S (e - centre)| <= 1, in the Euclidean norm or entry by entry."""
-
-    S: Array  # (k, n): in the plant's units; no rows: nothing is known
-    ball: bool
-    exact: Mask  # (n,): entries that are known exactly; S says nothing of them
     centre: Array  # (n,): 0 where the bounds are symmetric
+
+    @classmethod
+    def box(cls, half: Array, centre: Array | None = None) -> InitialSet:
+        """Return the set of given half-widths: infinite where nothing is known, 0 of what is known exactly."""
+        order = np.argsort(half == 0, kind="stable")
+        at = order[np.isfinite(half[order])]
+        return cls(freeze(np.eye(half.size)[at]), freeze(half[at]), False, freeze(_origin(half.size, centre)))
+
+    @classmethod
+    def within(cls, S: Array, ball: bool) -> InitialSet:
+        """Return the set |S e| <= 1 about 0."""
+        return cls(freeze(S), freeze(np.ones(len(S))), ball, freeze(np.zeros(S.shape[1])))
 
     @property
     def whole(self) -> bool:
         """Whether every state is bounded."""
-        return len(self.S) + int(self.exact.sum()) >= self.exact.size
+        return bool(len(self.S) >= self.S.shape[1])
+
+    @property
+    def rows(self) -> Array:
+        """S over the sizes, without what is known exactly: |rows (e - centre)| <= 1."""
+        some = self.size > 0
+        return np.asarray(self.S[some] / self.size[some, None])
+
+    @property
+    def exact(self) -> Mask:
+        """(n,): entries that are known exactly."""
+        return np.asarray(np.any(self.S[self.size == 0] != 0, axis=0))
+
+    def support(self, rest: Array, scale: float) -> float:
+        """The largest rest'(e - centre). What is free costs nothing if the rest is rounding there, else everything."""
+        if self.whole:
+            weights = np.linalg.solve(self.S.T, rest)
+        else:
+            weights = np.linalg.lstsq(self.S.T, rest)[0] if len(self.S) else np.zeros(0)
+            if np.linalg.norm(rest - self.S.T @ weights) > NOTHING * scale:
+                return np.inf
+        weights = weights * self.size
+        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
+
+    def free(self) -> Array:
+        """Orthonormal columns (n, m) that span what S says nothing about."""
+        count, n = self.S.shape
+        if not count:
+            return np.eye(n)
+        if self.whole:
+            return np.zeros((n, 0))
+        return np.asarray(np.linalg.svd(self.S / np.linalg.norm(self.S, axis=1, keepdims=True))[2][count:].T)
+
+    def excess(self, e: Array) -> float:
+        """The factor by which an error about the centre lies outside; infinite if what is known exactly is off."""
+        some, shown = self.size > 0, self.S @ e
+        if np.any(shown[~some] != 0):
+            return np.inf
+        inside = shown[some] / self.size[some]
+        return float(np.linalg.norm(inside) if self.ball else np.max(np.abs(inside), initial=0.0))
+
+    def staged(self) -> tuple[bool, Array | None]:
+        """Whether a program over stages takes the set, and its rows: none at rest."""
+        if self.ball or not self.whole:
+            return False, None
+        if np.all(self.size > 0):
+            return True, self.rows
+        return not self.size.any(), None
+
+    def pose(self, table: ConeTable, *, ball: bool) -> None:
+        """Add the set to a program whose first variables are e, where it is of that kind."""
+        if len(self.S) and self.ball and ball:
+            table.ball(0, self.S)
+        elif len(self.S) and not self.ball and not ball:
+            table.box(0, self.S, self.size)
+
+    def scaled(self, change: Array, sizes: Array, tiny: float) -> InitialSet:
+        """The set about 0 in coordinates x = change z; what is known exactly gets `tiny` of its size there."""
+        unit = np.where(self.size > 0, self.size, tiny * np.abs(self.S) @ sizes)
+        return InitialSet.within(self.S / unit[:, None] @ change, self.ball)
 
     @classmethod
     def of(cls, plant: Plant, value: InitialError) -> InitialSet:
@@ -135,17 +123,15 @@ class InitialSet:
         ArgumentError if it is negative, of another shape, names no state, or a pair is in the wrong order.
         """
         n = plant.n_states
-        known, centre = np.zeros(n, dtype=bool), np.zeros(n)
         if value is None:
-            return cls(freeze(np.zeros((0, n))), False, known, freeze(centre))
+            return cls.box(np.full(n, np.inf))
         if isinstance(value, Mapping):
-            half, centre = named_bounds("initial_error", value, plant.states.names, np.inf)
-            return cls._box(half, centre)
+            return cls.box(*named_bounds("initial_error", value, plant.states.names, np.inf))
         if checks.dimensions(value) == 0:
             radius = checks.nonnegative("initial_error", value)
             if radius == 0 or n == 1:
-                return cls._box(np.full(n, radius), centre)
-            return cls(freeze(np.eye(n) / radius), True, known, freeze(centre))
+                return cls.box(np.full(n, radius))
+            return cls.within(np.eye(n) / radius, True)
         if checks.dimensions(value) == 2:
             P = checks.symmetric("initial_error", value, n)
             d = np.sqrt(np.abs(np.diag(P)))
@@ -158,34 +144,15 @@ class InitialSet:
                 )
             keep = sizes > SEMIDEFINITE * n
             S = (vectors[:, keep] * np.sqrt(sizes[keep])).T * d
-            return cls(freeze(S), len(S) > 1, known, freeze(centre))
-        half = np.array(_half_widths(value, n))
-        return cls._box(half, centre)
-
-    @classmethod
-    def _box(cls, half: Array, centre: Array) -> InitialSet:
-        some = np.isfinite(half) & (half > 0)
-        S = np.eye(half.size)[some] / half[some, None]
-        return cls(freeze(S), False, half == 0, freeze(centre))
-
-    @property
-    def free(self) -> bool:
-        """Whether nothing is known."""
-        return not len(self.S) and not self.exact.any()
-
-    def scaled(self, change: Array, sizes: Array, tiny: float) -> StartSet:
-        """The set in coordinates x = change z; what is known exactly gets `tiny` of its size there."""
-        rows = np.vstack([self.S, np.diag(1 / (tiny * sizes))[self.exact]])
-        return StartSet(rows @ change if len(rows) else None, self.ball)
-
-    def excess(self, e: Array) -> float:
-        """The factor by which an error about the centre lies outside; infinite if an exact entry is off."""
-        if np.any(e[self.exact] != 0):
-            return np.inf
-        return StartSet(self.S, self.ball).excess(e)
+            return cls.within(S, len(S) > 1)
+        return cls.box(np.array(_half_widths(value, n)))
 
 
 SEMIDEFINITE = 1e-12  # an eigenvalue of a weight with unit diagonal below this share counts as 0
+
+
+def _origin(n: int, centre: Array | None) -> Array:
+    return np.zeros(n) if centre is None else centre
 
 
 def _half_widths(value: npt.ArrayLike, n: int) -> Array:

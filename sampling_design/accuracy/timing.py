@@ -23,7 +23,7 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, make_gap
 from sampling_design.accuracy.search import TOLERANCE, GainSearch, RowSearch
-from sampling_design.accuracy.start import ErrorReach
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, admissible, physical
 from sampling_design.errors import ArgumentError, UndecidedError
@@ -197,7 +197,7 @@ def moved_witness(
         until = float(found.opened[j].d[offset]) - shift[-1]
         opened = open_row(system, at, found.row, until)
         nodes = system.nodes(at, count)
-        start = ErrorReach(np.zeros(system.D.size)) if system.start is None or nodes[0] else system.start
+        start = InitialSet.box(np.zeros(system.D.size)) if system.start is None or nodes[0] else system.start
         gains, adversary = ConeWindow(system, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
         witness = physical(found.row, opened, adversary, opened.d.size - 1)
         witness = admissible(witness, moved)

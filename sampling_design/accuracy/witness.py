@@ -149,7 +149,7 @@ class AccuracyWitness(Record):
         moved, balance = self._moved()
         if initial is None or not self.states[0].any():
             return np.where(moved > 0, moved, balance)[None]
-        bounded = np.linalg.norm(initial.S, axis=0)
+        bounded = np.linalg.norm(initial.rows, axis=0)
         start = np.divide(1.0, bounded, out=np.abs(self.states[0]), where=bounded > 0)
         passed = self.samples - self.samples[0]
         with np.errstate(over="ignore", invalid="ignore"):

@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.accuracy.finite import NO_ERROR
 from sampling_design.accuracy.results_out import ResultsIn, results_in
 from sampling_design.accuracy.sampled_system import GapDynamics
-from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, extended, in_stages
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.filter_deviation import GridFilter
@@ -75,7 +75,7 @@ class AccuracyOracle:
             self.grid_filter.work = work
 
     @cached_property
-    def initial_set(self) -> StartSet:
+    def initial_set(self) -> InitialSet:
         """What is known of the error when the plan starts."""
         T = self.discrete.T
         return self.problem.initial.scaled(T, np.linalg.norm(T, axis=1), NO_ERROR)

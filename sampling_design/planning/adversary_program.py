@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
@@ -69,7 +69,7 @@ class GridWindow:
         knots: Index,
         measured: Mask,
         excess: Array | None = None,
-        start: StartSet | None = None,
+        start: InitialSet | None = None,
     ):
         self.discrete, self.knots, self.measured, self.excess, self.start = discrete, knots, measured, excess, start
         n, q = discrete.n, discrete.G.shape[1]
@@ -99,10 +99,9 @@ class GridWindow:
             table.add(np.zeros(n), (0, np.eye(n)))
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, w)
         table.end("zero")
-        slack, start_rows = self._slack_at, None if self.start is None else self.start.S
-        ball = self.start is not None and self.start.ball
-        if start_rows is not None and not ball:
-            table.box(0, start_rows, np.ones(len(start_rows)))
+        slack = self._slack_at
+        if self.start is not None:
+            self.start.pose(table, ball=False)
         for k in range(len(self.knots)):
             hard = discrete.H[self.measured[k]]
             table.box(k * n, hard, np.ones(len(hard)))
@@ -122,8 +121,8 @@ class GridWindow:
         table.end("nonnegative")
         if discrete.ball and many:
             table.unit_balls(w, q, many // q)
-        if start_rows is not None and ball:
-            table.ball(0, start_rows)
+        if self.start is not None:
+            self.start.pose(table, ball=True)
         self._b, self._A, self._cones = table.b(), table.matrix(), table.cones
         self.price, self.entries = CONE, int(self._A.nnz)
         self._solver: ConeSolver | None = None

@@ -14,7 +14,7 @@ import numpy as np
 
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.results_out import results_in
-from sampling_design.accuracy.sampled_system import KnownSpan, SampledSystem
+from sampling_design.accuracy.sampled_system import KnownSpan
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle
@@ -279,7 +279,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     grows at most as their rest does.
     """
     problem, schedule, times = plan.problem, plan.schedule, sequence.centres
-    filtered, back, count = plan_system(plan), looks_back(plan), len(schedule)
+    back, count = looks_back(plan), len(schedule)
     work, n = plan.oracle.work, plan.plant.n_states
     work.add(SYSTEM, len(times) * n**2)
     memory = forgets(plan)
@@ -288,18 +288,18 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     worst, settled = 0.0, complete - 1 - max(back, memory) - count
     work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
     try:
-        system = sequence_system(plan, filtered, sequence, len(times) - max(settled, 0))
+        system = sequence_system(plan, sequence, len(times) - max(settled, 0))
     except UndecidedError:  # nothing bounds what early and late samples do
         system = None
     search = None if system is None else GainSearch(*system, lambda: work.add(GAINS, back * n))
-    if search is None or settled < sequence.first or not _is_the_plan(search, filtered, settled):
+    if search is None or settled < sequence.first or not _is_the_plan(search, plan, settled):
         if gaps is not None:
             gaps.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
         return np.inf
     search.back = back
     goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.stochastic]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.stochastic)
-    factors = _transient_factors(plan, sequence, search, filtered, settled + back)
+    factors = _transient_factors(plan, sequence, search, settled + back)
     faded = usual * (1 + FADED) if usual > 1 else min(usual * (1 + FADED), 1.0)
     for span in search.system.spans:
         k = search.system.sample_of(span.node)
@@ -352,10 +352,10 @@ def settled_since(plan: PlanFigures, sequence: SampleSequence) -> tuple[float, f
         wider, since = sequence_filter(plan).worst(sequence)[1], float(times[-1])
     if plan.accuracy is not None:
         settled = len(times) - 1 - memory
-        system = sequence_system(plan, plan_system(plan), sequence, len(times) - max(settled, 0))
+        system = sequence_system(plan, sequence, len(times) - max(settled, 0))
         search = GainSearch(*system)
         search.back = looks_back(plan)
-        if settled < sequence.first or not _is_the_plan(search, plan_system(plan), settled):
+        if settled < sequence.first or not _is_the_plan(search, plan, settled):
             return np.inf, np.inf
         since = max(since, float(times[settled]))
         wider = max(wider, _wider(search, plan, sequence, range(settled, settled + memory)))
@@ -405,7 +405,7 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
 
 def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited: bool) -> dict[str, float]:
     """The same of the goals that are guaranteed."""
-    search = GainSearch(*sequence_system(plan, plan_system(plan), history, limited=limited, until=t))
+    search = GainSearch(*sequence_system(plan, history, limited=limited, until=t))
     search.back = looks_back(plan)
     last = max(0, history.taken(t))
     if history.in_parts:
@@ -424,11 +424,9 @@ def at_offset(search: GainSearch, row: Array, k: int, d: float) -> float:
     return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
 
 
-def _transient_factors(
-    plan: PlanFigures, sequence: SampleSequence, search: GainSearch, own: SampledSystem, stop: int
-) -> dict[int, float]:
+def _transient_factors(plan: PlanFigures, sequence: SampleSequence, search: GainSearch, stop: int) -> dict[int, float]:
     """How much more than the plan's stretches those of a sequence are at most, by node; none where they are not its."""
-    system, found = search.system, dict[int, float]()
+    own, system, found = plan_system(plan), search.system, dict[int, float]()
     if any(goal.at == "given times" for goal in plan.goals):  # which offsets those are differs from gap to gap
         return found
     gaps, samples = ({id(part) for part in parts} for parts in (own.gaps, own.samples))
@@ -463,9 +461,9 @@ def _within(span: KnownSpan, own: KnownSpan | None) -> bool:
     return span.begin >= own.begin - tiny and span.end <= own.end + tiny
 
 
-def _is_the_plan(search: GainSearch, own: SampledSystem, settled: int) -> bool:
+def _is_the_plan(search: GainSearch, plan: PlanFigures, settled: int) -> bool:
     """Whether the samples and gaps of a system are those of the plan's own from one of them on."""
-    system = search.system
+    own, system = plan_system(plan), search.system
     samples, gaps = ({id(part) for part in parts} for parts in (own.samples, own.gaps))
     return {id(part) for part in system.samples[settled : len(system)]} <= samples and {
         id(g) for g in system.gaps[settled:]

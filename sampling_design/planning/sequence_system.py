@@ -12,7 +12,7 @@ import numpy as np
 from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, covariance_root, finite_directions, start_covariance
+from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, coordinate_root, finite_directions, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sampled_system import (
@@ -24,7 +24,7 @@ from sampling_design.accuracy.sampled_system import (
     refuse_growth,
 )
 from sampling_design.accuracy.search import GainSearch, combined_gains
-from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
 from sampling_design.errors import NotDetectableError, UndecidedError
@@ -80,7 +80,6 @@ def plan_system(plan: PlanFigures) -> SampledSystem:
 
 def sequence_system(
     plan: PlanFigures,
-    own: SampledSystem,
     sequence: SampleSequence,
     settles: int = 1,
     *,
@@ -89,11 +88,11 @@ def sequence_system(
 ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
     """The system of a sequence (up to its last sample, or `until` a time) and what its filter bounds.
 
-    `own` is the plan's system. Results count once they are in.
+    Results count once they are in.
 
     Raises UndecidedError as for `_system_with_noise`.
     """
-    system, directions = _system_with_noise(plan, own, sequence, settles, limited=limited)
+    system, directions = _system_with_noise(plan, sequence, settles, limited=limited)
     if sequence.result_delay is None and not sequence.late:
         return system, directions
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=True)
@@ -102,9 +101,9 @@ def sequence_system(
 
 
 def _system_with_noise(
-    plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
+    plan: PlanFigures, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
 ) -> tuple[SampledSystem, list[BoundedDirections]]:
-    """The system of a sequence and what its filter bounds, all results in at once; `own` is the plan's system.
+    """The system of a sequence and what its filter bounds, all results in at once.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
     change the plan's filter bounds the error, whatever it once was; where the sequence is the plan's start, what is
@@ -117,17 +116,17 @@ def _system_with_noise(
     """
     count = len(sequence.times)
     starting = count - settles if sequence.begins else 0
-    usual = _usual_noise(plan, own, sequence)
+    usual = _usual_noise(plan, sequence)
     noise, found, since = usual, np.zeros_like(usual), 0
     upto = min(count, sequence.first + AHEAD) if sequence.late else count
     work, n = plan.oracle.work, plan.plant.n_states
     for _ in range(TURNS):
         part = sequence.until(upto)
-        system, directions = _noisier_system(plan, own, part, starting, noise, limited=limited)
+        system, directions = _noisier_system(plan, part, starting, noise, limited=limited)
         if not sequence.late:
             return system, directions
         work.add(SYSTEM, upto * n**2)
-        times = TimesOfSamples(plan, own, part, GainSearch(system, directions, lambda: work.add(GAINS, FEWEST * n)))
+        times = TimesOfSamples(plan, part, GainSearch(system, directions, lambda: work.add(GAINS, FEWEST * n)))
         found[:upto] = times.added(noise[:upto], usual[:upto], found[:upto], since)
         if not np.isfinite(found).all():
             break
@@ -156,7 +155,7 @@ def _fading(noise: Array, count: int) -> Array:
     return found
 
 
-def _usual_noise(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence) -> Array:
+def _usual_noise(plan: PlanFigures, sequence: SampleSequence) -> Array:
     """What stands for the times of the plan's samples (K, p), and a first guess for those that it does not have."""
     own_noise = None if plan.accuracy is None else plan.accuracy.noise
     noise = np.zeros(sequence.measured.shape)
@@ -164,7 +163,7 @@ def _usual_noise(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence
         return noise
     for k in range(len(noise)):
         if sequence.sides[k].any() or k < sequence.first:
-            phase = _planned(plan, own, sequence, k)
+            phase = _planned(plan, sequence, k)
             noise[k] = own_noise.max(axis=0) if phase is None else own_noise[phase]
     return noise
 
@@ -172,10 +171,10 @@ def _usual_noise(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence
 class TimesOfSamples:
     """What the times of a sequence's samples add at most to what they read: C (x(t + e) - x(t)), and w in between."""
 
-    def __init__(self, plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, search: GainSearch):
-        self.plan, self.own, self.sequence, self.search = plan, own, sequence, search
-        search.back = max(FEWEST, int(plan_system(plan).forgetting.max(initial=0)))
-        self.phases = [_planned(plan, own, sequence, k) for k in range(len(sequence.times))]
+    def __init__(self, plan: PlanFigures, sequence: SampleSequence, search: GainSearch):
+        self.plan, self.own, self.sequence, self.search = plan, plan_system(plan), sequence, search
+        search.back = max(FEWEST, int(self.own.forgetting.max(initial=0)))
+        self.phases = [_planned(plan, sequence, k) for k in range(len(sequence.times))]
         self.known = [self._known(k) for k in range(len(self.phases))]
         self.tables: dict[tuple[int, float, bool], KnownIntegrals] = {}
         self.aside = np.stack([sequence.forward, sequence.back], axis=1)
@@ -285,14 +284,14 @@ def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Arr
 
 
 def _noisier_system(
-    plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
+    plan: PlanFigures, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
 ) -> tuple[SampledSystem, list[BoundedDirections]]:
     """The system of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
     in coordinates of their own."""
-    times, gaps = sequence.centres, np.diff(sequence.centres)
+    own, times, gaps = plan_system(plan), sequence.centres, np.diff(sequence.centres)
     refuse_growth(plan.plant, gaps)
-    phases = [None if k < starting else _planned(plan, own, sequence, k) for k in range(len(times))]
-    same = _same_gaps(plan, own, phases, gaps)
+    phases = [None if k < starting else _planned(plan, sequence, k) for k in range(len(times))]
+    same = _same_gaps(plan, phases, gaps)
     fresh = [k for k in range(len(gaps)) if not same[k]]
     F, W = discounted_flow(own.A, own.G @ own.G.T, gaps[fresh]) if fresh else (np.zeros((0, 0, 0)),) * 2
     flows = {k: (F[i], W[i] * float(np.mean(gaps))) for i, k in enumerate(fresh)}
@@ -304,14 +303,14 @@ def _noisier_system(
             P = start_covariance(plan.problem.initial, own.D, free) if k == 0 else np.zeros(0)
             if k:
                 P = propagate(L[-1] @ L[-1].T, *flows[k - 1])
-            root, sample = _fresh(plan, own, P, sequence.measured[k], noise[k])
-            if sequence.begins and sequence.late and k < starting and _is_close(plan, own, sequence, k, root):
-                phases[k + 1 :] = [_planned(plan, own, sequence, i) for i in range(k + 1, len(times))]
+            root, sample = _fresh(plan, P, sequence.measured[k], noise[k])
+            if sequence.begins and sequence.late and k < starting and _is_close(plan, sequence, k, root):
+                phases[k + 1 :] = [_planned(plan, sequence, i) for i in range(k + 1, len(times))]
         else:
             root, sample = own.L[phase], _noisier(own.samples[phase], plan.problem.v_bound, noise[k])
         L.append(root)
         samples.append(sample)
-    same = _same_gaps(plan, own, phases, gaps)
+    same = _same_gaps(plan, phases, gaps)
     own = replace(own, L=own.L[: len(own)], samples=own.samples[: len(own)], again=(), before=(), known_spans=())
     table = GapTable(own.A, own.G, np.ones(len(own.A)))
     made: list[GapDynamics] = []
@@ -334,13 +333,14 @@ def _noisier_system(
     before = [
         sequence.wider * own.reach[phase_of(plan.schedule, float(t))] for t in sequence.clock_times[: sequence.first]
     ]
-    start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
+    start = InitialSet.box(np.maximum(before[0], LEAST * before[0].max(initial=1.0)))
     system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
     return system, finite_directions(system, before)
 
 
-def _same_gaps(plan: PlanFigures, own: SampledSystem, phases: list[int | None], gaps: Array) -> list[bool]:
+def _same_gaps(plan: PlanFigures, phases: list[int | None], gaps: Array) -> list[bool]:
     """Which gaps are the plan's, between its samples."""
+    own = plan_system(plan)
     return [
         i is not None
         and following == (i + 1) % len(own)
@@ -349,31 +349,29 @@ def _same_gaps(plan: PlanFigures, own: SampledSystem, phases: list[int | None], 
     ]
 
 
-def _is_close(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, k: int, root: Array) -> bool:
+def _is_close(plan: PlanFigures, sequence: SampleSequence, k: int, root: Array) -> bool:
     """Whether a filter's covariance after a sample is so near the plan's that the plan's coordinates serve as well."""
-    phase = _planned(plan, own, sequence, k)
+    own, phase = plan_system(plan), _planned(plan, sequence, k)
     return phase is not None and float(np.linalg.norm(np.linalg.solve(own.L[phase], root), 2)) ** 2 <= CLOSE
 
 
-def _limited(start: StartSet, change: Array, own: SampledSystem) -> StartSet:
+def _limited(start: InitialSet, change: Array, own: SampledSystem) -> InitialSet:
     """A start, limited where nothing is known; `change` leads from the plan's coordinates to those of the start."""
-    free = start.free(own.D.size)
+    free = start.free()
     if not free.shape[1]:
         return start
     size = UNKNOWN * np.abs(free.T @ change) @ np.max(own.reach, axis=0)
     far = free.T / size[:, None]
-    if start.S is None:
-        return StartSet(far, ball=False)
-    return StartSet(np.vstack([start.S, far]) / (np.sqrt(2.0) if start.ball else 1.0), start.ball)
+    return InitialSet.within(np.vstack([start.S, far]) / (np.sqrt(2.0) if start.ball else 1.0), start.ball)
 
 
-def _planned(plan: PlanFigures, own: SampledSystem, sequence: SampleSequence, k: int) -> int | None:
+def _planned(plan: PlanFigures, sequence: SampleSequence, k: int) -> int | None:
     """Which sample of the plan a sequence's sample is; None if it is another one."""
     schedule, t = plan.schedule, float(sequence.clock_times[k])
     phase = phase_of(schedule, t)
     off = (t - float(schedule.times[phase])) / schedule.period
     sensors = np.flatnonzero(sequence.measured[k] & np.isfinite(plan.problem.v_bound))
-    same = abs(off - round(off)) <= GRAIN and np.array_equal(sensors, own.samples[phase].outputs)
+    same = abs(off - round(off)) <= GRAIN and np.array_equal(sensors, plan_system(plan).samples[phase].outputs)
     return phase if same else None
 
 
@@ -386,13 +384,12 @@ def _noisier(sample: MeasurementModel, v_bound: Array, noise: Array) -> Measurem
     return replace(sample, size=size, H=sample.H * share[:, None], K=sample.K / share)
 
 
-def _fresh(
-    plan: PlanFigures, own: SampledSystem, P: Array, measured: Mask, noise: Array
-) -> tuple[Array, MeasurementModel]:
+def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[Array, MeasurementModel]:
     """Coordinates after a sample that the plan does not have, and the sample; P is the covariance before it."""
-    v = np.where(measured & np.isfinite(plan.problem.v_bound), plan.problem.v_bound + noise, np.inf)
+    own, v_bound = plan_system(plan), plan.problem.v_bound
+    v = np.where(measured & np.isfinite(v_bound), v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
-    root = covariance_root(information_update(P, H.T @ H))
+    root = coordinate_root(information_update(P, H.T @ H))
     K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
     return root, MeasurementModel(bounds.measured(0), size, H @ root, exact, K)

@@ -267,7 +267,7 @@ def test_what_no_sample_shows_stays_unknown_however_fast_it_fades():
 @pytest.mark.parametrize("covariance", [np.zeros((1, 1)), np.diag([1.0, -1.0])])
 def test_a_covariance_that_has_no_root_is_undecided(covariance):
     with pytest.raises(UndecidedError, match="undecided"):
-        finite.covariance_root(covariance)
+        finite.coordinate_root(covariance)
 
 
 @pytest.mark.parametrize("free", [[[1.0, 1.0], [0.0, 0.0]], [[1.0, 0.0], [0.0, 0.0]]])

@@ -304,7 +304,7 @@ def test_what_rounding_hides_is_undecided(whole):
 def test_an_open_start_has_no_contradiction_that_the_rest_of_it_could_hide(tmp_path):
     walk = sd.Plant([[0.0]], [[1.0]])
     found = state_interval(walk, [(0.0, [1.0], None), (1.0, [2.0], None)], w_bound=0.1, v_bound=0.05)
-    assert found.readings.start.root is None
+    assert found.readings.start.unbounded
     assert found.verify(rigorous=True)
 
 

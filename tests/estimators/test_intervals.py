@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.interval import prove, state_interval
-from sampling_design.accuracy.readings import DisturbanceSet, RowReading, StartError, gathered
+from sampling_design.accuracy.readings import RowReading, gathered
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.evidence import EstimateEvidence
@@ -134,9 +135,9 @@ def test_a_contradiction_is_told_by_the_interval_first():
 def test_a_mean_over_a_day_is_a_row_of_its_own():
     """A constant level, read as a mean: the same as reading it; a ramp: its middle."""
     tank = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
-    still = DisturbanceSet(np.zeros(2), np.zeros((2, 2)), False)
+    still = BoundedSet.box(np.zeros(2), np.zeros(2))
     rows = [(2.0, (RowReading(tank.C[0], 1.0, 0.1, since=0.0),)), (6.0, (RowReading(tank.C[0], 5.0, 0.1, since=4.0),))]
-    readings = gathered(tank, still, StartError(), np.zeros(2), 0.0, rows, ball=False)
+    readings = gathered(tank, still, BoundedSet.of("initial_error", None, 2), 0.0, rows, ball=False)
     assert readings.times.tolist() == [0.0, 2.0, 4.0, 6.0]
     found = prove(RecordProgram(readings), 6.0, sd.plants.rows.requested_rows(tank))
     # x(1) = 1 +- .1 and x(5) = 5 +- .1: slope 1 +- .05, x(6) = 6 +- .15
@@ -151,9 +152,9 @@ def test_a_mean_lies_after_the_start_and_after_the_mean_before(since):
         (2.0, (RowReading(PLANT.C[0], 1.0, 0.1, since=0.0),)),
         (3.0, (RowReading(PLANT.C[0], 1.0, 0.1, since=since),)),
     ]
-    push = DisturbanceSet(np.zeros(2), np.eye(2), False)
+    push = BoundedSet.box(np.zeros(2), np.ones(2))
     with pytest.raises(ArgumentError, match=r"of the mean read at 3\.0 lies before the start or in the mean before it"):
-        gathered(PLANT, push, StartError(), np.zeros(2), 0.0, rows, ball=False)
+        gathered(PLANT, push, BoundedSet.of("initial_error", None, 2), 0.0, rows, ball=False)
 
 
 def test_the_set_membership_estimator_returns_the_centre():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy.start import ErrorReach
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.planning import sequence as sequences
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import discretize
@@ -73,7 +73,8 @@ def evaluated_at(system, part, k):
     from sampling_design.accuracy.gains import evaluated
 
     nodes = system.nodes(part.sample, len(part.gains[k]))
-    return evaluated(system, nodes, ErrorReach(system.reach[nodes[0]]), part.directions[k], list(part.gains[k])).value
+    start = InitialSet.box(system.reach[nodes[0]])
+    return evaluated(system, nodes, start, part.directions[k], list(part.gains[k])).value
 
 
 def test_an_error_as_small_as_the_plans_leaves_its_gaps_as_they_are_and_a_larger_one_fades(week):

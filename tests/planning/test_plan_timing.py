@@ -106,7 +106,7 @@ def test_noise_that_is_not_found_is_said(plan, monkeypatch):
     with pytest.raises(
         UndecidedError, match=r"nothing bounds what samples up to 0\.1 s early or late do where they are"
     ):
-        sequence_system.sequence_system(plan, sequence_system.plan_system(plan), without(plan, 1, 1))
+        sequence_system.sequence_system(plan, without(plan, 1, 1))
     assert np.isinf(proven_ratio(plan, without(plan, 1, 1)))
 
 
@@ -115,7 +115,7 @@ def test_the_noise_of_a_sequence_is_counted_as_work(plan, monkeypatch):
     work.firm = True
     monkeypatch.setattr(plan.oracle, "work", work)
     with pytest.raises(BudgetSpentError, match="it does not fit into what is left"):
-        sequence_system.sequence_system(plan, sequence_system.plan_system(plan), without(plan, 1, 1))
+        sequence_system.sequence_system(plan, without(plan, 1, 1))
 
 
 @pytest.mark.long

@@ -31,7 +31,7 @@ CHANGES = {
 def test_no_adversary_is_beyond_what_the_filter_bounds(week, change):
     sequence = CHANGES[change](week)
     own = plan_system(week)
-    system, directions = sequence_system(week, own, sequence)
+    system, directions = sequence_system(week, sequence)
     fresh = [k for k, gap in enumerate(system.gaps) if not any(gap is other for other in own.gaps)]
     assert set(fresh) <= {sequence.first - 1, sequence.first}
     assert all(gap.length == pytest.approx(h) for gap, h in zip(system.gaps, np.diff(sequence.times), strict=True))
@@ -66,7 +66,7 @@ def test_samples_of_other_clocks_are_the_plans(week):
     first = week.samples
     np.testing.assert_allclose(real, np.append(times[:first], times[first:] - 1.0), rtol=1e-12)
     np.testing.assert_array_equal(same, seen)
-    system, _ = sequence_system(week, plan_system(week), SampleSequence(real, seen, first, week.clock))
+    system, _ = sequence_system(week, SampleSequence(real, seen, first, week.clock))
     own = plan_system(week)
     assert all(a is own.samples[phase_of(week.schedule, t)] for a, t in zip(system.samples, times, strict=True))
 
@@ -97,7 +97,7 @@ def test_a_filter_that_forgets_slowly_is_followed_until_it_has(slow):
     assert proven_ratio(slow, longer) <= proven * (1 + 1e-3)
     assert proven > max(slow.reached / [goal.tolerance for goal in slow.problem.goals])
     filtered = plan_system(slow)
-    _, directions = sequence_system(slow, filtered, longer)
+    _, directions = sequence_system(slow, longer)
     settled = len(sequence.times) - 1 - max(looks_back(slow), forgets(slow)) - count
     over = [
         np.max(a.reach / filtered.reach[phase_of(slow.schedule, t)])

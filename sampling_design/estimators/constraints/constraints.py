@@ -10,7 +10,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import DisturbanceSet, RowReading
+from sampling_design.accuracy.bounds import BoundedSet
+from sampling_design.accuracy.readings import RowReading
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal
@@ -19,7 +20,7 @@ from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.gap_flows.cost_weights import stretches
 from sampling_design.estimators.gap_flows.flows import FlowTable
-from sampling_design.estimators.online.evidence import EstimateAssumptions, SetBounds
+from sampling_design.estimators.online.evidence import EstimateAssumptions
 from sampling_design.estimators.window.sliding import OptimalTrajectory
 from sampling_design.estimators.window.window_estimate import WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
@@ -101,14 +102,14 @@ def _bounds_text(chosen: object) -> str:
 INSIDE = 1e-12  # share of a box by which a ball may stand out of it and still be taken for what is known
 
 
-def common(name: str, known: DisturbanceSet, chosen: ConvexSet | None) -> DisturbanceSet:
+def common(name: str, known: BoundedSet, chosen: ConvexSet | None) -> BoundedSet:
     """Return a set that holds what a bound and a constraint set have in common: a ball within both, else a box.
 
     Raises ArgumentError if they have nothing in common.
     """
     if chosen is None:
         return known
-    reach = np.linalg.norm(known.root, axis=1) if known.ball else np.abs(known.root).sum(axis=1)
+    reach = known.half_widths
     lower, upper = chosen.bounding_box()
     lower, upper = np.maximum(lower, known.centre - reach), np.minimum(upper, known.centre + reach)
     if np.any(lower > upper):
@@ -117,13 +118,13 @@ def common(name: str, known: DisturbanceSet, chosen: ConvexSet | None) -> Distur
     for part in chosen.round_balls:
         back = part.inverse()
         if back is not None:
-            balls.append(DisturbanceSet(part.centre, part.radius * back, True))
+            balls.append(BoundedSet(part.centre, part.radius * back, True))
     slack = INSIDE * (upper - lower)
     for one in balls:
-        reach = np.linalg.norm(one.root, axis=1)
+        reach = one.half_widths
         if np.all(one.centre - reach >= lower - slack) and np.all(one.centre + reach <= upper + slack):
             return one
-    return DisturbanceSet((lower + upper) / 2, np.diag((upper - lower) / 2), False)
+    return BoundedSet.box((lower + upper) / 2, (upper - lower) / 2)
 
 
 def one_sided(chosen: ConvexSet | None) -> tuple[RowReading, ...]:
@@ -139,10 +140,10 @@ def one_sided(chosen: ConvexSet | None) -> tuple[RowReading, ...]:
 
 def narrowed(found: EstimateAssumptions, sets: WindowConstraints) -> EstimateAssumptions:
     """Return assumptions with constraint sets for x, v and w; one for the measured output says nothing new."""
-    noise = common("v", DisturbanceSet(found.noise.centre, np.diag(found.noise.size), found.noise.ball), sets.v)
-    size = np.linalg.norm(noise.root, axis=1)
+    noise = common("v", found.noise, sets.v)
+    size = noise.half_widths
     straight = bool(np.all(noise.root == np.diag(size))) if noise.root.shape == (size.size,) * 2 else False
-    noise_bound = SetBounds(noise.centre, size, noise.ball and straight)
+    noise_bound = BoundedSet.box(noise.centre, size, noise.ball and straight)
     return replace(
         found, disturbance=common("w", found.disturbance, sets.w), noise=noise_bound, state=one_sided(sets.x)
     )

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.interval import Disproof, Interval, prove
-from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError, censored_rows, gathered
+from sampling_design.accuracy.readings import Readings, RowReading, censored_rows, gathered
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
@@ -24,33 +25,24 @@ REMEMBERED = 24  # samples that an interval looks back; what came before them is
 
 
 @dataclass(frozen=True, eq=False)
-class SetBounds:
-    """|z - centre| <= size, together in the Euclidean norm (`ball`) or entry by entry."""
-
-    centre: Array
-    size: Array
-    ball: bool
-
-
-@dataclass(frozen=True, eq=False)
 class EstimateAssumptions:
     """What the truth is taken to keep: bounds on w and v, on the first error, and rows of the state.
 
     Attributes
     ----------
     plant : Plant
-    disturbance : DisturbanceSet
-    noise : SetBounds
-    error : StartError
+    disturbance, noise : BoundedSet
+        The root of the noise is diagonal.
+    error : BoundedSet
         Of the prior.
     state : tuple of RowReading
         One-sided rows that the state keeps at all times.
     """
 
     plant: Plant
-    disturbance: DisturbanceSet
-    noise: SetBounds
-    error: StartError
+    disturbance: BoundedSet
+    noise: BoundedSet
+    error: BoundedSet
     state: tuple[RowReading, ...] = ()
     _tables: dict[tuple[bytes, ...], GapTable] = field(default_factory=dict, repr=False)
 
@@ -152,13 +144,13 @@ class EstimateEvidence:
     def _readings(self, until: float | None = None) -> Readings:
         nodes = self.nodes[-(REMEMBERED + 1) :]
         first = nodes[0]
-        start = self.assumed.error
+        start = replace(self.assumed.error, centre=first.x)
         if first.number:
             known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
-            start = StartError(_root(first.beta * first.Y), True) if known else StartError()
-        centre = first.x
-        if start.root is None and first.box is not None:
-            centre, start = first.box.middle, StartError.of(self.assumed.plant, first.box.half)
+            root = _root(first.beta * first.Y) if known else np.zeros_like(first.Y)
+            start = BoundedSet(first.x, root, ball=known, unbounded=not known)
+        if start.unbounded and first.box is not None:
+            start = BoundedSet.box(first.box.middle, first.box.half)
         rows: dict[float, tuple[RowReading, ...]] = {}
         for node in nodes:
             rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
@@ -168,7 +160,6 @@ class EstimateEvidence:
             self.assumed.plant,
             self.assumed.disturbance,
             start,
-            centre,
             first.t,
             sorted(rows.items()),
             ball=self.assumed.noise.ball,
@@ -176,13 +167,13 @@ class EstimateEvidence:
         )
 
     def _rows(self, node: HistoryNode) -> tuple[RowReading, ...]:
-        C, noise = self.assumed.plant.C, self.assumed.noise
+        C, noise, sizes = self.assumed.plant.C, self.assumed.noise, self.assumed.noise.half_widths
         y = node.y - node.feedthrough - noise.centre
-        rows = [RowReading(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask)]
+        rows = [RowReading(C[i], float(y[i]), float(sizes[i])) for i in np.flatnonzero(node.mask)]
         first = self.nodes[-(REMEMBERED + 1) :][0].t
         for each in node.sample.censored:
             if each.since is None or each.since >= first:
-                size, centre = float(noise.size[each.output]), float(noise.centre[each.output])
+                size, centre = float(sizes[each.output]), float(noise.centre[each.output])
                 direct = float(node.feedthrough[each.output])
                 rows += censored_rows(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs), direct)
         return tuple(rows)

@@ -122,9 +122,8 @@ class LinearPlantEstimator(OnlineEstimator):
         for node in state.nodes[begun if first.number else begun + 1 :]:
             censored = tuple(each.as_read for each in node.sample.censored if each.since is None)
             rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, censored))
-        noise = assumed.noise.size, assumed.noise.centre, assumed.noise.ball
         inputs, before = tuple(state.inputs), self.reader.before
-        proven = censored_together(self.plant, assumed.disturbance, inputs, rows, noise, first.t, before)
+        proven = censored_together(self.plant, assumed.disturbance, inputs, rows, assumed.noise, first.t, before)
         if proven is None:
             return state
         held = first._replace(box=StateBox(*proven[0], until=last))

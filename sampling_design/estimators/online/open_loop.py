@@ -7,12 +7,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import DisturbanceSet, StartError
+from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.evidence import EstimateAssumptions, SetBounds
+from sampling_design.estimators.online.evidence import EstimateAssumptions
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputDrift
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING, scaled_bound
 from sampling_design.numerics.filtering import propagate
@@ -50,7 +50,7 @@ class ErrorBounds:
         self.prior = weights.prior_energy(
             None if initial_error is None else checks.bound("initial_error", initial_error, plant.n_states)
         )
-        self.start_error = StartError.of(plant, initial_error)
+        self.start_error = BoundedSet.of("initial_error", initial_error, plant.n_states)
         energies = {"w_bound": self.disturbance, "v_bound": noise, "initial_error": self.prior}
         missing = [name for name, energy in energies.items() if np.isinf(energy)]
         self.note = f"No radius: {', '.join(missing)} not given." if missing else ""
@@ -68,12 +68,10 @@ class ErrorBounds:
         """What an interval may take for granted; None where w or v is not bounded."""
         if self.w is None or self.v is None:
             return None
-        (w, w_ball), (v, v_ball) = (
-            (np.broadcast_to(bound, (count,)), bound.ndim == 0 and count > 1)
-            for bound, count in ((self.w, self.plant.n_disturbances), (self.v, self.plant.n_outputs))
-        )
-        driven = DisturbanceSet(np.zeros(w.size), np.diag(w), w_ball)
-        return EstimateAssumptions(self.plant, driven, SetBounds(np.zeros(v.size), v, v_ball), self.start_error)
+        plant = self.plant
+        disturbance = BoundedSet.of("w_bound", self.w, plant.n_disturbances)
+        noise = BoundedSet.of("v_bound", self.v, plant.n_outputs)
+        return EstimateAssumptions(plant, disturbance, noise, self.start_error)
 
 
 class OpenLoop:

@@ -225,8 +225,8 @@ class _ScaledProblem:
             if ball:
                 raise ArgumentError(f"`{name}` must hold one number for each entry here, not one bound on the norm.")
         self.w, self.v = bounds.w, bounds.v / plant.outputs.scales
-        self.free = ~start.exact & ~np.any(start.S != 0, axis=0)
-        self.reach = np.where(start.exact | self.free, 0.0, 1 / np.maximum(np.abs(start.S).sum(axis=0), 1e-300))
+        self.free = ~start.exact & ~np.any(start.rows != 0, axis=0)
+        self.reach = np.where(start.exact | self.free, 0.0, 1 / np.maximum(np.abs(start.rows).sum(axis=0), 1e-300))
         self.reach = self.reach / plant.states.scales
         self.nodes = np.unique(np.concatenate([[first], times, [last]]))
         self.sample = {int(np.searchsorted(self.nodes, t)): j for j, t in enumerate(times.tolist())}

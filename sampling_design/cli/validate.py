@@ -77,7 +77,7 @@ def validate(
         settings.wrote(write_text(folder / "report.md", report.to_markdown()))
     settings.draw(report, "validation")
     heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
-    settings.finish(report, report.to_dict(), "report", table("Findings", heads, report.cells()), *report.skipped)
+    settings.finish(report, report.to_dict(), "report", table("Checks", heads, report.cells()), *report.skipped)
     if journal is not None:
         journal.unlink(missing_ok=True)
     if not report.passed:

@@ -16,10 +16,10 @@ from sampling_design.estimators.online.history import EstimatorState, HistoryNod
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.schedule_watch import choose_horizon
 from sampling_design.nonlinear.collocation import Collocation, OutlierRejection, WindowSolver, beyond
+from sampling_design.nonlinear.inclusion_bound import InclusionBound, WindowTrajectory, cost_for
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.open_loop import NonlinearLoop
-from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
@@ -179,7 +179,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         maximum_delay: float | None = None,
     ):
         self.plant = plant
-        self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
+        self.error_bound = None if certificate is None else InclusionBound(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
         self.horizon, claim_note = choose_horizon(certificate, horizon, cost, "arrival")
         self.filtered, self.begins = cost.arrival == "filtered", cost.begins
@@ -188,8 +188,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self.keep_for_late(maximum_delay)
         self._scale = plant.signals["states"].scales
         self.outliers = OutlierRejection() if outliers is None else outliers
-        self._region = StateRegion(*plant.bounds["states"]) if self.promise is None else self.promise.region
-        self.loop = NonlinearLoop(plant, self.scaled, self.promise, given.inputs == "linear", claim_note)
+        self._region = StateRegion(*plant.bounds["states"]) if self.error_bound is None else self.error_bound.region
+        self.loop = NonlinearLoop(plant, self.scaled, self.error_bound, given.inputs == "linear", claim_note)
         state = self.initial_state(prior, prior_time)
         warn_of_scales(plant, "states", [state.last.x, *plant.bounds["states"]])
         settings = WindowSolver() if solver is None else solver
@@ -268,7 +268,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             note = (
                 f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {rejected_note}".strip()
             )
-            if counted == sample.t and self.promise is not None:
+            if counted == sample.t and self.error_bound is not None:
                 counted = state.last.counted  # nothing was learned from it
             return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
         self._latest = data, answer
@@ -286,13 +286,13 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
 
     def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:
         """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""
-        last, promise = state.last, self.promise
-        if promise is None:
+        last, error_bound = state.last, self.error_bound
+        if error_bound is None:
             return sample.t, True
         before = self.loop.since(last, sample.t)
         complete = bool(np.isfinite(sample.y).all())
-        scheduled = last.scheduled and bool(np.isfinite(promise.age(sample.t, before)))
-        return (sample.t if complete and promise.counts(sample.t, before) else before), scheduled
+        scheduled = last.scheduled and bool(np.isfinite(error_bound.age(sample.t, before)))
+        return (sample.t if complete and error_bound.counts(sample.t, before) else before), scheduled
 
     def _without_outliers(self, state: EstimatorState, sample: RecordRow) -> tuple[RecordRow, str]:
         """Leave out the outputs of a sample that lie beyond the gate, and say so."""
@@ -317,11 +317,11 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self, state: EstimatorState, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool
     ) -> float:
         """Return the bound on V at the window's end, after the fact."""
-        promise, solution = self.promise, answer.solution
-        if promise is None or promise.trouble or answer.slopes is None:
+        error_bound, solution = self.error_bound, answer.solution
+        if error_bound is None or error_bound.trouble or answer.slopes is None:
             return float("inf")
         nodes = solution.nodes * self._scale
-        if not promise.holds(np.vstack([nodes, solution.point.z.reshape(-1, nodes.shape[1]) * self._scale])):
+        if not error_bound.holds(np.vstack([nodes, solution.point.z.reshape(-1, nodes.shape[1]) * self._scale])):
             return float("inf")
         jumps = answer.jumps
         if jumps is None:
@@ -338,10 +338,10 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         trajectory = WindowTrajectory(data.edges, nodes, w, misfit, counted, jumps * self._scale)
         last = start.counted
         if start.prior:
-            last = promise.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
-        square = min(start.square, promise.largest(start.t, last, start.prior))
-        return promise.radius(
-            trajectory, start.x, square if not start.prior else promise.largest(start.t, last, True), last
+            last = error_bound.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
+        square = min(start.square, error_bound.largest(start.t, last, start.prior))
+        return error_bound.radius(
+            trajectory, start.x, square if not start.prior else error_bound.largest(start.t, last, True), last
         )
 
     def _window(self, state: EstimatorState, sample: RecordRow) -> tuple[WindowData, WindowSolution, NonlinearStart]:
@@ -376,7 +376,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if nodes[0].sample.y is None and s <= nodes[0].t + slack:
             first = nodes[0]
             last = self.loop.since(first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
-            root = fixed if self.promise is None else self._arrival_weight(first.t, last)
+            root = fixed if self.error_bound is None else self._arrival_weight(first.t, last)
             return NonlinearStart(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
@@ -388,7 +388,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             x, Y, square, _ = self.loop.ahead(state, node, s)
         last = self.loop.since(node, at)
         root = fixed
-        if self.promise is not None:
+        if self.error_bound is not None:
             root = self._arrival_weight(at, last)
         elif self.filtered:
             root = self._information(Y, fixed)
@@ -396,10 +396,10 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
 
     def _arrival_weight(self, t: float, last: float) -> Array:
         """Return the root of P(tau), scaled; beyond the certified gaps of P at the longest one."""
-        promise = self.promise
-        assert promise is not None
-        age = promise.age(t, last)
-        P = promise.certificate.at(promise.longest if np.isnan(age) else age)
+        error_bound = self.error_bound
+        assert error_bound is not None
+        age = error_bound.age(t, last)
+        P = error_bound.certificate.at(error_bound.longest if np.isnan(age) else age)
         return np.asarray(np.linalg.cholesky(P * self._scale * self._scale[:, None]).T)
 
     def _information(self, Y: Array, fixed: Array) -> Array:

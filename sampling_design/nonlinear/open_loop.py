@@ -15,8 +15,8 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import SolverError
 from sampling_design.estimators.online.estimate import Estimate, Status
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.nonlinear.inclusion_bound import UNCOVERED, InclusionBound
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.promise import UNCOVERED, InclusionPromise
 from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, unknown
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.records.arrays import Array
@@ -37,11 +37,12 @@ class NonlinearLoop:
         self,
         plant: NonlinearPlant,
         scaled: NonlinearWeights,
-        promise: InclusionPromise | None,
+        error_bound: InclusionBound | None,
         ramps: bool,
         claim_note: str,
     ):
-        self.plant, self.scaled, self.promise, self.ramps, self.claim_note = plant, scaled, promise, ramps, claim_note
+        self.plant, self.scaled, self.error_bound = plant, scaled, error_bound
+        self.ramps, self.claim_note = ramps, claim_note
         self._build()
 
     def _build(self) -> None:
@@ -61,9 +62,9 @@ class NonlinearLoop:
 
     def since(self, node: HistoryNode, t: float) -> float:
         """When a sample last counted before t: before the first one, as long ago as lets it count."""
-        if self.promise is None or node.counted != node.t or node.sample.y is not None:
+        if self.error_bound is None or node.counted != node.t or node.sample.y is not None:
             return node.counted
-        return self.promise.origin(node.t, t)
+        return self.error_bound.origin(node.t, t)
 
     def input(self, state: EstimatorState, t: float) -> Array:
         """The input in force from t on."""
@@ -114,11 +115,11 @@ class NonlinearLoop:
         except SolverError as error:
             return node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
         Y = nothing if Y is None else Y
-        square, promise = float("inf"), self.promise
-        if promise is not None and np.isfinite(node.beta):
+        square, error_bound = float("inf"), self.error_bound
+        if error_bound is not None and np.isfinite(node.beta):
             last = self.since(node, t) if t > node.t else node.counted
-            if np.isfinite(promise.age(t, last)) and promise.holds(x):
-                square = promise.ahead(node.beta, node.t, t)
+            if np.isfinite(error_bound.age(t, last)) and error_bound.holds(x):
+                square = error_bound.ahead(node.beta, node.t, t)
         kept, words = self._projected(x, self.input(state, t))
         return kept, Y, square if kept is x else np.inf, words
 
@@ -144,7 +145,7 @@ class NonlinearLoop:
         """Return the first node, before any sample: x at t with the weight P2."""
         scaled, scale = self.scaled, self.plant.signals["states"].scales
         inverse = np.linalg.solve(scaled.twice * scaled.P2, np.eye(x.size))
-        square = np.inf if self.promise is None else self.promise.largest(t, t, prior=True)
+        square = np.inf if self.error_bound is None else self.error_bound.largest(t, t, prior=True)
         return self.node(RecordRow(t), x, "prior", inverse * scale * scale[:, None], square, t)
 
     def node(
@@ -195,12 +196,12 @@ class NonlinearLoop:
         **details: Any,
     ) -> Estimate:
         """Return an estimate: with its radius where one is proven, else with the covariance to first order."""
-        promise = self.promise
-        if promise is None or not np.isfinite(square):
-            why = NOTE if promise is None else f"No radius: {promise.trouble or UNCOVERED}."
+        error_bound = self.error_bound
+        if error_bound is None or not np.isfinite(square):
+            why = NOTE if error_bound is None else f"No radius: {error_bound.trouble or UNCOVERED}."
             note = " ".join(filter(None, (note, why)))
             return Estimate(t, freeze(x), freeze(Y), status=status, note=note, **details)
-        covariance = np.linalg.solve(promise.weight(t, counted), np.eye(x.size))
+        covariance = np.linalg.solve(error_bound.weight(t, counted), np.eye(x.size))
         return Estimate(
             t,
             freeze(x),
@@ -221,7 +222,7 @@ class NonlinearLoop:
         x, Y, square, trouble = self.ahead(state, node, t)
         status: Status = "solver failed" if "fails" in trouble else "predicted"
         last = self.since(node, t)
-        scheduled = node.scheduled and (self.promise is None or bool(np.isfinite(self.promise.age(t, last))))
-        if self.promise is not None and last != node.counted and np.isfinite(square):
-            square = self.promise.ahead(self.promise.largest(node.t, last, prior=True), node.t, t)
+        scheduled = node.scheduled and (self.error_bound is None or bool(np.isfinite(self.error_bound.age(t, last))))
+        if self.error_bound is not None and last != node.counted and np.isfinite(square):
+            square = self.error_bound.ahead(self.error_bound.largest(node.t, last, prior=True), node.t, t)
         return self.estimate(t, x, status, Y, square, last, trouble, scheduled)

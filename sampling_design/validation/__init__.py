@@ -4,7 +4,7 @@ from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "comparison": ("validate",),
-    "report": ("Finding", "ValidationReport"),
+    "report": ("ClaimCheck", "ValidationReport"),
     "scenario": ("SimulatedRecord", "simulate_record"),
     "schedule_log": ("ScheduleLog", "compare_schedule"),
 }

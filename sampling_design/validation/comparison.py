@@ -31,7 +31,7 @@ from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.monte_carlo import ratio, read_trials
-from sampling_design.validation.report import ErrorCurve, Finding, ValidationReport
+from sampling_design.validation.report import ClaimCheck, ErrorCurve, ValidationReport
 from sampling_design.validation.scenario import (
     ErrorSources,
     ScenarioBounds,
@@ -63,7 +63,7 @@ class EstimatorStudy:
         self, scenarios: Sequence[str], settings: Mapping[str, object], progress: Progress | None
     ) -> ValidationReport:
         """Run the scenarios that are known here, and say of the others that they are not."""
-        findings, error_curves = list[Finding](), list[ErrorCurve]()
+        made, error_curves = list[ClaimCheck](), list[ErrorCurve]()
         inputs: dict[str, Callable[[], ErrorSources]] = {
             "random": lambda: draw_inputs(self.line, self.bounds, self.seeds),
             "resonant": lambda: resonant_inputs(self.line, self.bounds)[0],
@@ -76,12 +76,12 @@ class EstimatorStudy:
             runs = self._runs(inputs[name]())
             size = np.linalg.norm([run.errors(self.rows) / self.line.plant.states.scales for run in runs], axis=2)
             error_curves.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
-            findings += [*self._growth(name, size), *self._promised(name, runs)]
+            made += [*self._growth(name, size), *self._promised(name, runs)]
         if progress is not None:
             progress(1.0, "done")
         return ValidationReport(
             plant=self.line.plant,
-            findings=tuple(findings),
+            checks=tuple(made),
             times=self.rows.times,
             bound=None,
             norm="states over their scales",
@@ -97,14 +97,14 @@ class EstimatorStudy:
             found.append(real_run(self.line, self.rows, true_run(self.line, inputs, k, steered=False), self.estimator))
         return found
 
-    def _growth(self, name: str, size: Array) -> list[Finding]:
+    def _growth(self, name: str, size: Array) -> list[ClaimCheck]:
         if name not in GROWTH_LIMIT:
             return []
         early = self.rows.times <= self.line.times[-1] / 2
         growth = float(np.max(ratio(size[:, ~early].max(axis=1), size[:, early].max(axis=1))))
-        return [Finding("error does not grow", name, GROWTH_LIMIT[name], growth)]
+        return [ClaimCheck("error does not grow", name, GROWTH_LIMIT[name], growth)]
 
-    def _promised(self, name: str, runs: list[EstimatedRun]) -> list[Finding]:
+    def _promised(self, name: str, runs: list[EstimatedRun]) -> list[ClaimCheck]:
         """Of the estimates that say that their ellipsoid is proven, whether it held the truth."""
         found = [
             each.ratio(x)
@@ -112,7 +112,7 @@ class EstimatorStudy:
             for each, x in zip(run.estimates, run.truth.states[self.rows.at], strict=True)
             if each.certified
         ]
-        return [Finding("online ellipsoid", name, 1.0, max(found))] if found else []
+        return [ClaimCheck("online ellipsoid", name, 1.0, max(found))] if found else []
 
 
 @checked
@@ -170,7 +170,7 @@ def validate(
     Returns
     -------
     ValidationReport
-        What the certificate promises and could not be judged (as where the samples are off its schedule) is a finding
+        What the certificate promises and could not be judged (as where the samples are off its schedule) is a check
         that did not hold.
 
     Raises
@@ -201,7 +201,7 @@ def validate(
     >>> plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
     >>> certificate = certify(plant, schedule, eta=0.4, P2=[[1.0, 0.0], [0.0, 1.0]])
     >>> report = validate(plant, schedule, certificate, runs=20, scenarios=["random", "worst"])
-    >>> report.passed, len(report.findings) > 3
+    >>> report.passed, len(report.checks) > 3
     (True, True)
     """
     if not isinstance(plant, Plant):

@@ -14,9 +14,9 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import usable
 from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers, numbered
+from sampling_design.validation.apriori_bound import AprioriBound
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
-from sampling_design.validation.worst_disturbance import AprioriBound
 
 BLOCK = 64  # runs that are computed together. Fixed, since the rounding of a product may depend on how many share it
 

@@ -1,4 +1,4 @@
-"""What was promised beside what was observed: findings, and the report that collects them."""
+"""What was promised beside what was observed: checks of claims, and the report that collects them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDING = 1e-8  # a promise counts as kept while it is exceeded by no more than
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Finding(YesOrNo):
+class ClaimCheck(YesOrNo):
     """One promise and what became of it: true if it held, false if it was broken, neither where it was not checked.
 
     Attributes
@@ -118,7 +118,7 @@ class ExampleRun:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
+class ValidationReport(YesOrNo, ListRecord[ClaimCheck], PlainRecord):
     """What a plant's schedule and certificate promised, and whether it came true.
 
     True if every promise held, false if one was broken; neither where none was, and not all were checked.
@@ -126,7 +126,7 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
     Attributes
     ----------
     plant : Plant
-    findings : tuple of Finding
+    checks : tuple of ClaimCheck
     times : (R,) array
         Where errors were looked at; a sample's time stands twice, before and after it.
     bound : (R,) array or None
@@ -142,7 +142,7 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
     """
 
     plant: Plant
-    findings: tuple[Finding, ...]
+    checks: tuple[ClaimCheck, ...]
     times: Array
     bound: Array | None
     norm: str
@@ -152,32 +152,32 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
     skipped: tuple[str, ...] = ()
 
     _plain = (
-        "format:_format plant:plant.name passed findings skipped settings norm times bound "
+        "format:_format plant:plant.name passed checks skipped settings norm times bound "
         "error_curves{name largest median}"
     )
     _format = "sampling-design/validation/1"
-    _frame = "findings{claim scenario verdict predicted observed margin source strength}"
+    _frame = "checks{claim scenario verdict predicted observed margin source strength}"
 
-    def _entries(self) -> tuple[Finding, ...]:
-        return self.findings
+    def _entries(self) -> tuple[ClaimCheck, ...]:
+        return self.checks
 
     @property
     def passed(self) -> bool:
         """Whether every promise was checked and held, of one at least."""
-        return bool(self.findings) and all(finding.passed for finding in self.findings)
+        return bool(self.checks) and all(check.passed for check in self.checks)
 
     @property
-    def broken(self) -> tuple[Finding, ...]:
+    def broken(self) -> tuple[ClaimCheck, ...]:
         """The promises that did not hold."""
-        return tuple(finding for finding in self.findings if finding.checked and not finding.passed)
+        return tuple(check for check in self.checks if check.checked and not check.passed)
 
-    _asked: ClassVar[str] = "findings"
+    _asked: ClassVar[str] = "checks"
 
     def _answer(self) -> bool | None:
         return self.passed if self.broken or self.passed else None
 
     def cells(self) -> list[list[str]]:
-        """Rows of the table of findings: claim, scenario, predicted, observed, margin, verdict."""
+        """Rows of the table of checks: claim, scenario, predicted, observed, margin, verdict."""
         signs = {"at most": "<=", "at least": ">="}
         return [
             [
@@ -188,16 +188,16 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
                 short(f.margin, 3),
                 f.verdict,
             ]
-            for f in self.findings
+            for f in self.checks
         ]
 
     def to_markdown(self) -> str:
-        """Return the report as a page: verdict, findings, notes, settings."""
+        """Return the report as a page: verdict, checks, notes, settings."""
         heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
         lines = [f"# Validation of {self.plant.name or 'a plant'}", "", self.explain(), ""]
         lines += ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
         lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in self.cells()]
-        notes = [f"- {f.claim} ({f.scenario}): {f.note}" for f in self.findings if f.note]
+        notes = [f"- {f.claim} ({f.scenario}): {f.note}" for f in self.checks if f.note]
         lines += ["", "## Notes", "", *notes] if notes else []
         lines += ["", "## Not checked", "", *(f"- {text}" for text in self.skipped)] if self.skipped else []
         lines += ["", "## Settings", ""]
@@ -205,17 +205,17 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
         return "\n".join(lines) + "\n"
 
     _answers = (
-        "{findings.__len__} promises of a plant, its schedule and its certificate, against simulations",
+        "{checks.__len__} promises of a plant, its schedule and its certificate, against simulations",
         "sampled: what held in every run may fail in another; what was broken is refuted",
-        "{_held} of {findings.__len__} held",
+        "{_held} of {checks.__len__} held",
         "the same call with another `rng`",
     )
 
     def _held(self) -> int:
-        return sum(finding.passed for finding in self.findings)
+        return sum(check.passed for check in self.checks)
 
     def _rows(self) -> list[tuple[str, str]]:
-        bounded = [f for f in self.findings if f.sense == "at most" and f.checked]
+        bounded = [f for f in self.checks if f.sense == "at most" and f.checked]
         worst = min(bounded, key=lambda f: f.margin, default=None)
         return [
             ("least margin", "-" if worst is None else f"{short(worst.margin, 3)} ({worst.claim}, {worst.scenario})"),
@@ -226,11 +226,11 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
 
     def explain(self) -> str:
         """Say the verdict in words."""
-        missing = [f for f in self.findings if not f.checked]
+        missing = [f for f in self.checks if not f.checked]
         broken = self.broken
         if not broken and not missing:
-            return f"All {len(self.findings)} promises held."
+            return f"All {len(self.checks)} promises held."
         if not broken:
-            return f"{len(self.findings) - len(missing)} of {len(self.findings)} promises held. {missing[0].explain()}"
-        count = f"{len(broken)} of {len(self.findings)} promises {'was' if len(broken) == 1 else 'were'} broken"
+            return f"{len(self.checks) - len(missing)} of {len(self.checks)} promises held. {missing[0].explain()}"
+        count = f"{len(broken)} of {len(self.checks)} promises {'was' if len(broken) == 1 else 'were'} broken"
         return f"{count}: {broken[0].explain()}"

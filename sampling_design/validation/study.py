@@ -1,4 +1,4 @@
-"""The scenarios of a validation, one method each, and the findings that they leave behind."""
+"""The scenarios of a validation, one method each, and the checks that they leave behind."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ from sampling_design.records.record import moment, short
 from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
+from sampling_design.validation.apriori_bound import AprioriBound, apriori_bound_of, worst_disturbance, worst_energy
 from sampling_design.validation.error_map import ErrorMap, build_error_map
 from sampling_design.validation.monte_carlo import MonteCarloTrials, measured, monte_carlo, ratio
 from sampling_design.validation.pairs import worst_pair
-from sampling_design.validation.report import ROUNDING, ErrorCurve, ExampleRun, Finding, ValidationReport
+from sampling_design.validation.report import ROUNDING, ClaimCheck, ErrorCurve, ExampleRun, ValidationReport
 from sampling_design.validation.scenario import (
     ScenarioBounds,
     draw_inputs,
@@ -35,7 +36,6 @@ from sampling_design.validation.scenario import (
 )
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
-from sampling_design.validation.worst_disturbance import AprioriBound, apriori_bound_of, worst_disturbance, worst_energy
 
 Seeds = Sequence[np.random.SeedSequence]
 
@@ -74,7 +74,7 @@ class ValidationStudy:
         self.options, self.duration = options, duration
         self.journal: Journal[MonteCarloTrials] | None = None
         self.skipped: list[str] = []
-        self.findings: list[Finding] = []
+        self.checks: list[ClaimCheck] = []
         self.error_curves: list[ErrorCurve] = []
         self.example: ExampleRun | None = None
         estimator = self.estimator()
@@ -134,7 +134,7 @@ class ValidationStudy:
         norm = "states over their scales" if self.apriori is None else f"|e|_P1, {self.apriori.theorem}"
         return ValidationReport(
             plant=self.plant,
-            findings=tuple(self.findings),
+            checks=tuple(self.checks),
             times=self.map.rows.times,
             bound=bound,
             norm=norm,
@@ -151,7 +151,7 @@ class ValidationStudy:
         return apriori.at_most(self.line, self.map.rows, energies)
 
     def _judge(self, scenario: str, trials: MonteCarloTrials, strength: Strength = "sampled") -> None:
-        """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
+        """Checks that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
         self.error_curves.append(ErrorCurve(scenario, trials.size.max(axis=0), np.median(trials.size, axis=0)))
         if self.apriori is not None:
             worst, source = float(np.max(trials.promised)), self.apriori.theorem
@@ -179,7 +179,7 @@ class ValidationStudy:
     def _find(
         self, claim: str, scenario: str, predicted: float, observed: float, sense: str = "at most", **rest: Any
     ) -> None:
-        self.findings.append(Finding(claim, scenario, predicted, observed, sense, **rest))
+        self.checks.append(ClaimCheck(claim, scenario, predicted, observed, sense, **rest))
 
     def _pairs(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         if self.apriori is None:

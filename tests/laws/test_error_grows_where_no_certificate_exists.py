@@ -19,7 +19,7 @@ def test_the_error_grows_at_period_pi():
         sd.certify(PLANT, sd.PeriodicSchedule([np.pi]))
     report = judged(np.pi)
     assert not report.passed
-    broken = [f for f in report.findings if not f.passed]
+    broken = [f for f in report.checks if not f.passed]
     assert [f.claim for f in broken] == ["error does not grow"]
     assert broken[0].observed == pytest.approx(2.0, rel=0.1)  # linear growth doubles from one half to the next
     assert "no certificate" in report.skipped[0]

@@ -1,6 +1,6 @@
 """Units change nothing: each state, output, input and disturbance by its own power of ten, time by one, and its zero.
 
-No decision changes (certified, on_schedule, status, findings that passed), and numbers only as their unit says. What is
+No decision changes (certified, on_schedule, status, checks that passed), and numbers only as their unit says. What is
 a Euclidean norm over several units (a bound given as one number, the Euclidean error bound) is no question of units.
 """
 
@@ -204,10 +204,10 @@ def test_certificates_schedules_validation_and_records():
         options = {"runs": 6, "scenarios": ["pairs", "random", "worst", "resonant", "initial", "estimator"]}
         a = validate(plant, schedule, certificate, duration=12.0, **bounds, **options)
         b = validate(there, moved, same, duration=12.0 * c, **scaled, **options)
-        assert [(f.claim, f.scenario, f.passed) for f in a.findings] == [
-            (f.claim, f.scenario, f.passed) for f in b.findings
+        assert [(f.claim, f.scenario, f.passed) for f in a.checks] == [
+            (f.claim, f.scenario, f.passed) for f in b.checks
         ]
-        for one_finding, other_finding in zip(a.findings, b.findings, strict=True):
+        for one_finding, other_finding in zip(a.checks, b.checks, strict=True):
             if one_finding.claim not in ("Euclidean error bound", "difference to the linear error map"):
                 assert other_finding.observed == pytest.approx(one_finding.observed, rel=1e-5), one_finding.claim
         record = {"w_bound": bounds["w_bound"], "v_bound": bounds["v_bound"]}

@@ -19,11 +19,11 @@ def test_every_promise_holds(name):
     report = sd.validate(plant, schedule, sd.certify(plant, schedule), runs=100)
     assert report.passed, report.explain()
     assert not report.skipped
-    found = {(f.claim, f.scenario): f for f in report.findings}
-    assert len(found) == len(report.findings) == 27
+    found = {(f.claim, f.scenario): f for f in report.checks}
+    assert len(found) == len(report.checks) == 27
     worst = found["inequality (16)", "worst pair"]
     assert 0.98 < worst.observed <= 1.0  # tight: one pair nearly uses up what is promised
-    ellipsoids = [f.observed for f in report.findings if f.claim == "online ellipsoid"]
+    ellipsoids = [f.observed for f in report.checks if f.claim == "online ellipsoid"]
     assert 0.5 < max(ellipsoids) <= 1.0 + 1e-8
     assert found["error does not grow", "resonant disturbance"].observed < 1.1
     assert found["a-priori bound", "worst energy"].observed >= found["a-priori bound", "random noise"].observed

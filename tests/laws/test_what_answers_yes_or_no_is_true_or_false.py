@@ -17,7 +17,7 @@ from sampling_design.errors import UndecidedError
 from sampling_design.nonlinear.detectability import DetectabilityEvidence
 from sampling_design.plants import library
 from sampling_design.uncertain.existence.existence_over_box import ExistenceOverBox
-from sampling_design.validation.report import Finding, ValidationReport
+from sampling_design.validation.report import ClaimCheck, ValidationReport
 
 ANSWERS = {"exists", "passed", "holds", "survives", "verdict"}
 """Attributes that are a yes or no, and not a property of something that is more: a plan, an estimate, a bound."""
@@ -41,15 +41,15 @@ def answers(kind):
 def test_every_class_that_answers_yes_or_no_is_true_or_false():
     asked = [kind for kind in classes() if answers(kind) and not kind.__name__.startswith("_")]
     assert [kind.__qualname__ for kind in asked if not hasattr(kind, "__bool__")] == []
-    assert {Verification, ExistenceOverBox, Finding, FamilyTrial, Verdict} <= set(asked)
+    assert {Verification, ExistenceOverBox, ClaimCheck, FamilyTrial, Verdict} <= set(asked)
 
 
-def report(*findings):
-    return ValidationReport(library.oscillator(), findings, np.zeros(0), None, "")
+def report(*checks):
+    return ValidationReport(library.oscillator(), checks, np.zeros(0), None, "")
 
 
-HELD, BROKEN = Finding("a", "b", 2.0, 1.0), Finding("a", "b", 1.0, 2.0)
-OPEN = Finding("a", "b", 1.0, np.nan, checked=False)
+HELD, BROKEN = ClaimCheck("a", "b", 2.0, 1.0), ClaimCheck("a", "b", 1.0, 2.0)
+OPEN = ClaimCheck("a", "b", 1.0, np.nan, checked=False)
 
 
 def evidence(ratio):
@@ -95,8 +95,8 @@ def test_an_answer_is_what_it_says(name):
         (verification(Verification, "undecided"), "verdict"),
         (verification(Verification, "undecided", bits=160), "verdict"),
         (OPEN, "verdict"),
-        (report(HELD, OPEN), "findings"),
-        (report(), "findings"),
+        (report(HELD, OPEN), "checks"),
+        (report(), "checks"),
     ],
 )
 def test_what_is_undecided_is_neither(answer, ask):

@@ -113,7 +113,7 @@ def test_the_worst_pair_reaches_a_certificate_with_missing_outputs_and_none_brea
     certificate = certify(plant, schedule, eta=0.3, P2=np.eye(3), Qw=np.eye(3), **whole)
     report = validate(plant, schedule, certificate, runs=8, scenarios=["pairs", "random", "worst", "estimator"])
     assert report.passed, report.explain()
-    worst = next(f for f in report.findings if f.scenario == "worst pair")
+    worst = next(f for f in report.checks if f.scenario == "worst pair")
     assert 0.9 < worst.observed <= 1.0
 
 

@@ -13,11 +13,11 @@ from sampling_design.estimators.online.estimator import EstimateRecord, Estimato
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.experiment import paper_weights
+from sampling_design.nonlinear.inclusion_bound import InclusionBound
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.nonlinear.open_loop import NOTE
-from sampling_design.nonlinear.promise import InclusionPromise
 from sampling_design.nonlinear.simulation import simulate
 from tests.oracles import nonlinear as oracle
 
@@ -387,7 +387,7 @@ def test_what_has_no_window_yet_smooths_nothing():
 def test_a_certificate_of_another_plant_or_of_many_words_promises_nothing():
     alien = SimpleNamespace(kind="nonlinear", model_data={})
     with pytest.raises(ArgumentError, match="`certificate` belongs to another plant: its dynamics differs"):
-        InclusionPromise(alien, PENDULUM, None)
+        InclusionBound(alien, PENDULUM, None)
     wordy = SimpleNamespace(kind="nonlinear", model_data=model_of(PENDULUM), words=2)
     with pytest.raises(ArgumentError, match=r"must have one P\(tau\) for all gaps"):
-        InclusionPromise(wordy, PENDULUM, None)
+        InclusionBound(wordy, PENDULUM, None)

@@ -200,7 +200,7 @@ def test_the_estimators_of_the_package_are_validated_by_their_methods_alone(pend
     options = {"runs": 3, "duration": 10.0, "scenarios": ["random", "initial", "paper"]}
     report = sd.validate(pendulum, sd.PeriodicSchedule([0.3, 0.4]), estimator=kalman, **options, **bounds)
     assert report.passed
-    assert {finding.claim for finding in report.findings} == {"online ellipsoid", "error does not grow"}
+    assert {finding.claim for finding in report.checks} == {"online ellipsoid", "error does not grow"}
     assert report.skipped == ("paper: it needs a certificate's estimator.",)
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sampling_design import ArgumentError, MovingHorizonEstimator
+from sampling_design.validation.apriori_bound import apriori_bound_of
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.monte_carlo import BLOCK, monte_carlo, ratio
 from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.worst_disturbance import apriori_bound_of
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
 PLANT, BOUNDS = PLANTS["oscillator"], ScenarioBounds.of(PLANTS["oscillator"])

@@ -10,7 +10,7 @@ from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.records.file_io import to_json
 from sampling_design.validation import monte_carlo
-from sampling_design.validation.report import Finding, ValidationReport
+from sampling_design.validation.report import ClaimCheck, ValidationReport
 from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.study import CHOSEN_HERE, SCENARIOS
 from tests.cases import few
@@ -28,14 +28,14 @@ def test_a_report_is_complete_and_says_the_same_in_every_form(name):
     report = judged(name)
     assert report.passed
     assert bool(report)
-    assert {f.scenario for f in report.findings} >= {"worst pair", "random noise", "worst energy"}
+    assert {f.scenario for f in report.checks} >= {"worst pair", "random noise", "worst energy"}
     data = json.loads(to_json(report.to_dict()))
     assert data["passed"] is True
-    assert [f["claim"] for f in data["findings"]] == [f.claim for f in report.findings]
+    assert [f["claim"] for f in data["checks"]] == [f.claim for f in report.checks]
     assert data["settings"]["seed"] == "0"
     assert set(data["settings"]["versions"]) == {"sampling-design", "numpy", "python"}
     text = report.to_markdown()
-    assert text.count("| held |") == len(report.findings)
+    assert text.count("| held |") == len(report.checks)
     assert all(f"- {key}:" in text for key in report.settings)
     assert "promises held" in report.explain()
     assert "least margin" in str(report)
@@ -45,14 +45,14 @@ def test_a_report_is_complete_and_says_the_same_in_every_form(name):
 def test_seeds_repeat_a_report_and_change_it():
     again = [judged("oscillator", scenarios=["random"], rng=np.random.default_rng(s)).to_dict() for s in (3, 3, 4)]
     assert again[0] == again[1]
-    assert again[0]["findings"] != again[2]["findings"]
+    assert again[0]["checks"] != again[2]["checks"]
     assert again[2]["settings"]["seed"] == "4"
 
 
 @pytest.mark.long
 def test_without_steering_an_unstable_truth_would_drown_the_errors():
     report = judged("unstable", duration=150.0, scenarios=["estimator"])  # e^45 by the end
-    found = {f.claim: f for f in report.findings}
+    found = {f.claim: f for f in report.checks}
     assert found["difference to the linear error map"].observed < 1e-9
     assert found["share of proven estimates"].observed == 1.0
     assert np.max(np.abs(report.example.errors)) < 20.0
@@ -61,7 +61,7 @@ def test_without_steering_an_unstable_truth_would_drown_the_errors():
 def test_constraints_are_active_in_one_scenario_and_not_in_the_other():
     report = judged("oscillator", scenarios=["constraints"], duration=20.0)
     assert report.passed, report.explain()
-    notes = [f.note for f in report.findings if f.claim == "a-priori bound"]
+    notes = [f.note for f in report.checks if f.claim == "a-priori bound"]
     share = float(notes[0].split(" in ")[1].split(" %")[0])
     assert share > 5.0
 
@@ -77,7 +77,7 @@ def test_a_finite_schedule_is_judged_to_its_last_time():
 def test_a_filtered_arrival_cost_keeps_the_full_rate():
     report = judged("two outputs", cost=CostFunction(arrival="filtered"), horizon=1.0, scenarios=["random", "worst"])
     assert report.passed, report.explain()
-    sources = {f.source for f in report.findings if f.claim == "a-priori bound"}
+    sources = {f.source for f in report.checks if f.claim == "a-priori bound"}
     assert sources == {"filtered arrival cost, full rate"}
 
 
@@ -85,20 +85,20 @@ def test_a_filtered_arrival_cost_keeps_the_full_rate():
 def test_windows_that_begin_at_samples_keep_what_their_certificate_promises(form):
     report = judged("oscillator", cost=CostFunction(form=form, begins="sample"), scenarios=["random", "worst"])
     assert report.passed, report.explain()
-    assert [f for f in report.findings if f.claim == "a-priori bound" and f.checked]
+    assert [f for f in report.checks if f.claim == "a-priori bound" and f.checked]
 
 
 def test_the_papers_own_cost_can_be_studied():
     report = judged("oscillator", cost=CostFunction(form="paper"), scenarios=["random", "paper"])
-    assert {f.source for f in report.findings if f.claim == "a-priori bound"} == {"Theorem 9"}
+    assert {f.source for f in report.checks if f.claim == "a-priori bound"} == {"Theorem 9"}
 
 
 def test_off_the_certificates_schedule_only_ellipsoids_are_judged():
     other = PeriodicSchedule([0.8, 1.35])
     report = validate(PLANTS["oscillator"], other, certificate("oscillator"), **SHORT)
-    assert {f.claim for f in report.findings if not f.passed} == {"a-priori bounds and inequality (16)"}
-    assert "off the certificate's schedule" in next(f.note for f in report.findings if not f.checked)
-    assert not [f for f in report.findings if f.claim in ("a-priori bound", "inequality (16)")]
+    assert {f.claim for f in report.checks if not f.passed} == {"a-priori bounds and inequality (16)"}
+    assert "off the certificate's schedule" in next(f.note for f in report.checks if not f.checked)
+    assert not [f for f in report.checks if f.claim in ("a-priori bound", "inequality (16)")]
     assert report.bound is None
 
 
@@ -120,7 +120,7 @@ def test_a_certificate_that_claims_too_much_is_found_out():
     report = validate(made.plant, made.schedule, false, scenarios=["pairs"], **SHORT)
     assert not report.passed
     assert not report
-    broken = {f.scenario for f in report.findings if not f.passed}
+    broken = {f.scenario for f in report.checks if not f.passed}
     assert "worst pair" in broken
     assert "BROKEN" in report.to_markdown()
     assert "was broken under worst pair" in report.explain()
@@ -131,19 +131,19 @@ def test_noise_beyond_what_the_estimator_is_told_is_found_out(monkeypatch):
     honest = monte_carlo.draw_inputs
     monkeypatch.setattr(monte_carlo, "draw_inputs", lambda *given: ErrorSources(*(3 * part for part in honest(*given))))
     report = judged("oscillator", scenarios=["random"], runs=60)
-    broken = [f.claim for f in report.findings if not f.passed]
+    broken = [f.claim for f in report.checks if not f.passed]
     assert "online ellipsoid" in broken
     assert "a-priori bound" not in broken  # that promise is about the noise that really occurred
 
 
-def test_findings_know_their_margin():
-    most = Finding("a", "b", 2.0, 1.5)
+def test_checks_know_their_margin():
+    most = ClaimCheck("a", "b", 2.0, 1.5)
     assert (most.margin, most.passed) == (0.25, True)
-    least = Finding("a", "b", 1.0, 0.9, "at least")
+    least = ClaimCheck("a", "b", 1.0, 0.9, "at least")
     assert (round(least.margin, 12), least.passed) == (-0.1, False)
-    assert Finding("a", "b", 0.0, 0.0).passed
-    assert Finding("a", "b", 1.0, 1.0 + 1e-9).passed
-    assert not Finding("a", "b", 1.0, 1.0 + 1e-7).passed
+    assert ClaimCheck("a", "b", 0.0, 0.0).passed
+    assert ClaimCheck("a", "b", 1.0, 1.0 + 1e-9).passed
+    assert not ClaimCheck("a", "b", 1.0, 1.0 + 1e-7).passed
     assert "was broken" in least.explain()
     assert "at least 1" in str(least)
     empty = ValidationReport(PLANTS["oscillator"], (), np.zeros(1), None, "none")
@@ -183,7 +183,7 @@ def test_a_promise_that_could_not_be_checked_did_not_hold():
     made = certificate("oscillator")
     report = validate(made.plant, PeriodicSchedule([0.6, 1.7, 0.9]), made, scenarios=["random"], **SHORT)
     assert not report.passed
-    (missing,) = [f for f in report.findings if not f.checked]
+    (missing,) = [f for f in report.checks if not f.checked]
     assert missing.to_dict() | {"note": ""} == {
         "claim": "a-priori bounds and inequality (16)",
         "scenario": "not checked",

@@ -45,7 +45,7 @@ class WindowTrajectory(NamedTuple):
     jumps: Array
 
 
-class InclusionPromise:
+class InclusionBound:
     """Bounds on |x - xhat|_P(tau) along an estimate's trajectory, tau the time since the last sample that counts.
 
         r_t = sqrt(J) + sqrt(e^{-eta M} r_{t-M}^2 + int e^{-eta(t-s)} w_bar^2 ds + sum e^{-eta(t-t_j)} v_bar^2)

@@ -1,4 +1,4 @@
-"""The worst that can be done to an estimator: its linear error map, run backwards."""
+"""What a certificate guarantees of an estimator a priori, and the worst that can be done to it."""
 
 from __future__ import annotations
 

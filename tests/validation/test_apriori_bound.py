@@ -5,10 +5,10 @@ import pytest
 
 from sampling_design import MovingHorizonEstimator
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.validation.apriori_bound import apriori_bound_of, sensitivity, worst_disturbance, worst_energy
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.worst_disturbance import apriori_bound_of, sensitivity, worst_disturbance, worst_energy
 from tests.oracles.validation import promised
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 

@@ -31,9 +31,9 @@ from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import (
     CensoredReading,
+    Readings,
     RecordRow,
     RowReading,
-    gathered,
     input_at,
 )
 from sampling_design.accuracy.record_program import RecordProgram
@@ -55,9 +55,7 @@ Known = Callable[[Array], tuple[Array, Array]]  # lower and upper ends (r,) of r
 
 
 def resolved(
-    plant: Plant,
-    disturbance: BoundedSet,
-    inputs: Sequence[tuple[float, Array]],
+    unread: Readings,
     t: float,
     censored: tuple[CensoredReading, ...],
     known: Known,
@@ -75,11 +73,9 @@ def resolved(
         return censored
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and bounds nothing
         spans = [(each.output, each.span) for each in stamped if each.span is not None]
-        sides = [
-            TimeShift(plant, disturbance, inputs, t, output, end, before) for output, span in spans for end in span
-        ]
+        sides = [TimeShift(unread, t, output, end, before) for output, span in spans for end in span]
     rows = np.concatenate([side.rows[:, :-1] for side in sides])
-    asked = np.flatnonzero(rows.any(axis=1))
+    asked, plant = np.flatnonzero(rows.any(axis=1)), unread.plant
     low, high = np.zeros(len(rows)), np.zeros(len(rows))
     box = np.zeros(plant.n_states)
     if not np.isfinite(rows).all():
@@ -121,16 +117,8 @@ def _between(plant: Plant, read: CensoredReading, least: float, most: float, wai
 class TimeShift:
     """F from t on to an end of the interval, after or before it: at nodes by rows of (x(t), 1), in between by bends."""
 
-    def __init__(
-        self,
-        plant: Plant,
-        disturbance: BoundedSet,
-        inputs: Sequence[tuple[float, Array]],
-        t: float,
-        output: int,
-        end: float,
-        before: bool,
-    ):
+    def __init__(self, unread: Readings, t: float, output: int, end: float, before: bool):
+        plant, disturbance, inputs = unread.plant, unread.disturbance, unread.inputs
         C, D, n = plant.C[output], plant.D[output], plant.n_states
         sign = 1.0 if end >= t else -1.0
         base, last = (np.append(C, float(D @ input_at(inputs, at, plant.n_inputs, before))) for at in (t, end))
@@ -198,7 +186,6 @@ MORE = 0.02
 """Share by which a bound is above what it must be more than."""
 FARTHEST = 1e6
 """Beyond so many times what times add at least, nothing is sought."""
-Inputs = Sequence[tuple[float, Array]]
 
 
 class _Reading(NamedTuple):
@@ -211,22 +198,19 @@ class _Reading(NamedTuple):
 
 
 def start_of_dated(
-    plant: Plant,
-    disturbance: BoundedSet,
-    inputs: Inputs,
-    samples: Sequence[RecordRow],
-    noise: tuple[Array, Array],
-    start: float,
-    before: bool = False,
+    unread: Readings, samples: Sequence[RecordRow], noise: tuple[Array, Array], before: bool = False
 ) -> tuple[Array, Array] | None:
     """Return a centre and half-widths of the state at the start that the readings prove; None if they prove none.
 
     `noise`: the sizes (N, p) and the middles of what is added to each reading; `before` as in `resolved`.
     """
-    flows = _flows(plant, disturbance, inputs, start, [item.t for item in samples])
-    x = _fitted(plant, inputs, samples, flows, noise, before)
+    plant, inputs, disturbance = unread.plant, unread.inputs, unread.disturbance
+    flows = _flows(unread, [item.t for item in samples])
+    x = _fitted(unread, samples, flows, noise, before)
+    here = replace(unread, disturbance=replace(disturbance, root=np.zeros_like(disturbance.root)))
     still = replace(disturbance, centre=np.zeros(plant.n_disturbances))
-    here = replace(disturbance, root=np.zeros_like(disturbance.root))
+    unknown = BoundedSet.of("initial_error", None, plant.n_states)
+    apart = Readings.unread(plant, still, unknown, unread.begin)  # of d, which nothing else drives
     censored: list[_Reading] = []
     for item, M, size, middle in zip(samples, flows, *noise, strict=True):
         xi = M @ np.append(x, 1.0)
@@ -240,26 +224,26 @@ def start_of_dated(
             ):
                 continue
             i, (first, last, low, high) = each.output, each.stamp
-            known = [TimeShift(plant, here, inputs, item.t, i, end, before) for end in (first, last)]
+            known = [TimeShift(here, item.t, i, end, before) for end in (first, last)]
             least, most = _ends(known, partial(_at, xi), np.abs(xi))
             off = middle[i] + float(plant.D[i] @ input_at(inputs, item.t, plant.n_inputs, before)) + plant.C[i] @ xi
-            moves = tuple(TimeShift(plant, still, (), item.t, i, end, before) for end in (first, last))
+            moves = tuple(TimeShift(apart, item.t, i, end, before) for end in (first, last))
             censored.append(_Reading(item.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
-    found = _bounded(plant, still, censored, start)
+    found = _bounded(apart, censored)
     return None if found is None else (freeze(x), freeze(found))
 
 
-def _bounded(plant: Plant, disturbance: BoundedSet, censored: Sequence[_Reading], start: float) -> Array | None:
+def _bounded(apart: Readings, censored: Sequence[_Reading]) -> Array | None:
     """How large each entry of d may be at the start; None where nothing bounds it."""
     before, tried = np.zeros(len(censored)), np.zeros(len(censored))
     for _ in range(TURNS):
-        program = _program(plant, disturbance, censored, tried, start)
+        program = _program(apart, censored, tried)
         boxes = {t: _box(program, t) for t in {each.t for each in censored}}
         found = np.array([_adds(each, boxes[each.t]) for each in censored])
         if not np.isfinite(found).all():
             return None
         if np.all((tried >= found * (1 + MORE / 2)) | (found == 0)):
-            box = _box(program, start)
+            box = _box(program, apart.begin)
             return box if np.isfinite(box).all() else None
         step, last = found - tried, tried - before
         ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
@@ -270,15 +254,12 @@ def _bounded(plant: Plant, disturbance: BoundedSet, censored: Sequence[_Reading]
     return None
 
 
-def _program(
-    plant: Plant, disturbance: BoundedSet, censored: Sequence[_Reading], added: Array, start: float
-) -> RecordProgram:
+def _program(apart: Readings, censored: Sequence[_Reading], added: Array) -> RecordProgram:
     """The program of trajectories that read zero within the sizes and what is added to them."""
-    rows: dict[float, tuple[RowReading, ...]] = {start: ()}
+    rows: dict[float, tuple[RowReading, ...]] = {apart.begin: ()}
     for each, more in zip(censored, added.tolist(), strict=True):
-        rows[each.t] = (*rows.get(each.t, ()), RowReading(plant.C[each.output], 0.0, each.size + more))
-    unknown = BoundedSet.of("initial_error", None, plant.n_states)
-    return RecordProgram(gathered(plant, disturbance, unknown, start, sorted(rows.items()), ball=False))
+        rows[each.t] = (*rows.get(each.t, ()), RowReading(apart.plant.C[each.output], 0.0, each.size + more))
+    return RecordProgram(apart.reading(sorted(rows.items())))
 
 
 def _at(x: Array, rows: Array) -> tuple[Array, Array]:
@@ -304,15 +285,16 @@ def _ends(sides: Sequence[TimeShift], known: Callable[[Array], tuple[Array, Arra
     return (least, most) if np.isfinite([least, most]).all() else (-np.inf, np.inf)
 
 
-def _flows(plant: Plant, disturbance: BoundedSet, inputs: Inputs, start: float, times: Sequence[float]) -> list[Array]:
+def _flows(unread: Readings, times: Sequence[float]) -> list[Array]:
     """M (n, n + 1) for each time: x(t) = M (x(start), 1) with the inputs and the disturbance's middle."""
-    n, now, flow, found = plant.n_states, start, np.eye(plant.n_states + 1), list[Array]()
+    plant, inputs, now = unread.plant, unread.inputs, unread.begin
+    n, flow, found = plant.n_states, np.eye(plant.n_states + 1), list[Array]()
     for t in times:
         marks = [now, *(s for s, _ in inputs if now < s < t), t]
         for a, b in pairwise(marks):
             longer = np.zeros((n + 1, n + 1))
             u = input_at(inputs, (a + b) / 2, plant.n_inputs)
-            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ disturbance.centre
+            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ unread.disturbance.centre
             d = balance(longer).d
             flow = (expm_batch(balanced(longer, d), b - a)[0] * d[:, None] / d) @ flow
         now = t
@@ -321,8 +303,7 @@ def _flows(plant: Plant, disturbance: BoundedSet, inputs: Inputs, start: float, 
 
 
 def _fitted(
-    plant: Plant,
-    inputs: Inputs,
+    unread: Readings,
     samples: Sequence[RecordRow],
     flows: Sequence[Array],
     noise: tuple[Array, Array],
@@ -332,9 +313,9 @@ def _fitted(
 
     Each counts in units of its noise, so that no unit of an output changes it.
     """
-    rows, ends = [], []
+    plant, rows, ends = unread.plant, [], []
     for item, M, own, middle in zip(samples, flows, *noise, strict=True):
-        fed = plant.D @ input_at(inputs, item.t, plant.n_inputs, before)
+        fed = plant.D @ input_at(unread.inputs, item.t, plant.n_inputs, before)
         read = {i: item.y[i] for i in np.flatnonzero(np.isfinite(item.y)).tolist()}
         read |= {
             e.output: (e.stamp.lower + e.stamp.upper) / 2 - fed[e.output] for e in item.censored if e.stamp is not None

@@ -373,37 +373,41 @@ class Readings:
         """Return the first `count` times alone."""
         return replace(self, times=self.times[:count], rows=self.rows[:count])
 
+    @classmethod
+    def unread(
+        cls, plant: Plant, disturbance: BoundedSet, start: BoundedSet, begin: float, ball: bool = False,
+        inputs: Sequence[tuple[float, Array]] = (),
+    ) -> Readings:  # fmt: skip
+        """Return what is known before anything is read: bounds, a set about the state at `begin`, and inputs."""
+        return cls(plant, disturbance, start, freeze([begin]), ((),), ball, tuple(inputs))
 
-def gathered(
-    plant: Plant,
-    disturbance: BoundedSet,
-    start: BoundedSet,
-    begin: float,
-    rows: Sequence[tuple[float, tuple[RowReading, ...]]],
-    *,
-    ball: bool,
-    inputs: tuple[tuple[float, Array], ...] = (),
-) -> Readings:
-    """Return the readings of rows in order of time; the start, and where a mean began, become times of their own.
+    @property
+    def begin(self) -> float:
+        """The first of the times."""
+        return float(self.times[0])
 
-    Raises ArgumentError if a mean began before the start, or two means of one row overlap.
-    """
-    at: dict[float, tuple[RowReading, ...]] = dict(rows)
-    spans: dict[bytes, float] = {}
-    for t, found in rows:
-        for row in found:
-            if row.since is None:
-                continue
-            if row.since < begin or row.since < spans.get(row.H.tobytes(), begin):
-                raise ArgumentError(
-                    f"`since` = {row.since!r} of the mean read at {t!r} lies before the start or in the mean before it."
-                )
-            spans[row.H.tobytes()] = t
-            at.setdefault(row.since, ())
-    if not start.unbounded or not at:  # nothing is known of a state: neither of what it was before the first row
-        at.setdefault(begin, ())
-    times = sorted(at)
-    return Readings(plant, disturbance, start, freeze(times), tuple(at[t] for t in times), ball, inputs)
+    def reading(self, rows: Sequence[tuple[float, tuple[RowReading, ...]]]) -> Readings:
+        """Return the same with other rows, in order of time; the start, and where a mean began, become times, too.
+
+        Raises ArgumentError if a mean began before the start, or two means of one row overlap.
+        """
+        at: dict[float, tuple[RowReading, ...]] = dict(rows)
+        spans: dict[bytes, float] = {}
+        for t, found in rows:
+            for row in found:
+                if row.since is None:
+                    continue
+                if row.since < self.begin or row.since < spans.get(row.H.tobytes(), self.begin):
+                    raise ArgumentError(
+                        f"`since` = {row.since!r} of the mean read at {t!r} lies before the start or in the mean "
+                        "before it."
+                    )
+                spans[row.H.tobytes()] = t
+                at.setdefault(row.since, ())
+        if not self.start.unbounded or not at:  # of an unknown state it is unknown what it was before the first row
+            at.setdefault(self.begin, ())
+        times = sorted(at)
+        return replace(self, times=freeze(times), rows=tuple(at[t] for t in times))
 
 
 class RecordRow(NamedTuple):

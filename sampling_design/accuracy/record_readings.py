@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -22,7 +22,6 @@ from sampling_design.accuracy.readings import (
     RowReading,
     arrived,
     censored_rows,
-    gathered,
     input_at,
 )
 from sampling_design.accuracy.record_program import RecordProgram
@@ -87,66 +86,47 @@ def read_record(
     centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
     disturbance = BoundedSet.box(centre_w, bounds.w, bounds.w_ball)
     centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
-    begun_in = replace(BoundedSet.of("initial_error", initial_error, plant.n_states), centre=centre)
-    if spans and begun_in.unbounded:
-        proven = start_of_dated(plant, disturbance, inputs, samples, (bounds.v, centre_v), start)
-        begun_in = begun_in if proven is None else BoundedSet.box(*proven)
-
-    def read(rows: Rows) -> Readings:
-        return gathered(plant, disturbance, begun_in, start, rows, ball=bounds.v_ball, inputs=inputs)
-
-    said = _one_by_one(plant, disturbance, inputs, samples, (bounds.v, centre_v), read)
+    error = replace(BoundedSet.of("initial_error", initial_error, plant.n_states), centre=centre)
+    unread = Readings.unread(plant, disturbance, error, start, bounds.v_ball, inputs)
+    proven = start_of_dated(unread, samples, (bounds.v, centre_v)) if spans and error.unbounded else None
+    unread = unread if proven is None else replace(unread, start=BoundedSet.box(*proven))
+    said = _one_by_one(unread, samples, (bounds.v, centre_v))
     rows = [(item.t, own) for item, (_, own) in zip(samples, said, strict=True)]
     if also is not None and also < start:
         raise ArgumentError(f"`t` must not lie before the start {start!r}, got {also!r}.")
-    return read(rows if also is None or also >= rows[-1][0] or also in dict(rows) else [*rows, (also, ())])
+    return unread.reading(rows if also is None or also >= rows[-1][0] or also in dict(rows) else [*rows, (also, ())])
 
 
 def censored_together(
-    plant: Plant,
-    disturbance: BoundedSet,
-    inputs: Sequence[tuple[float, Array]],
-    samples: Sequence[RecordRow],
-    noise: BoundedSet,
-    start: float,
-    before: bool,
+    unread: Readings, samples: Sequence[RecordRow], noise: BoundedSet, before: bool
 ) -> tuple[tuple[Array, Array], list[tuple[CensoredReading, ...]]] | None:
     """Return a box of the start (middle, half-widths), and what readings of uncertain times say together of theirs.
 
     Of the start nothing else is known; None if they bound nothing. Samples are less D u.
     """
     every = np.tile(noise.half_widths, (len(samples), 1)), np.tile(noise.centre, (len(samples), 1))
-    proven = start_of_dated(plant, disturbance, inputs, samples, every, start, before)
+    proven = start_of_dated(unread, samples, every, before)
     if proven is None:
         return None
-    begun_in = BoundedSet.box(*proven)
-
-    def read(rows: Rows) -> Readings:
-        return gathered(plant, disturbance, begun_in, start, rows, ball=noise.ball, inputs=tuple(inputs))
-
-    return proven, [
-        row for row, _ in _one_by_one(plant, disturbance, inputs, samples, every, read, before, waiting=True)
-    ]
+    known = replace(unread, start=BoundedSet.box(*proven))
+    return proven, [row for row, _ in _one_by_one(known, samples, every, before, waiting=True)]
 
 
 def _one_by_one(
-    plant: Plant,
-    disturbance: BoundedSet,
-    inputs: Sequence[tuple[float, Array]],
+    unread: Readings,
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array],
-    read: Callable[[Rows], Readings],
     before: bool = False,
     waiting: bool = False,
 ) -> Iterator[tuple[tuple[CensoredReading, ...], tuple[RowReading, ...]]]:
     """What each sample says of its time, by those before it, and as rows of the state."""
-    rows: Rows = []
+    rows, plant, inputs = list[tuple[float, tuple[RowReading, ...]]](), unread.plant, unread.inputs
     for item, size, middle in zip(samples, *noise, strict=True):
         values = item.y - middle
         measured = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
         own = [RowReading(plant.C[i], values[i], size[i]) for i in measured]
-        known = partial(_known, read, rows, item.t)
-        censored = resolved(plant, disturbance, inputs, item.t, item.censored, known, before, waiting)
+        known = partial(_known, unread, rows, item.t)
+        censored = resolved(unread, item.t, item.censored, known, before, waiting)
         u = input_at(inputs, item.t, plant.n_inputs, before)
         for each in censored:
             i = each.output
@@ -161,9 +141,9 @@ def beginning(items: Sequence[RecordRow]) -> float:
     return min([items[0].t, *(span.first for span in spans)]) if items else 0.0
 
 
-def _known(read: Callable[[Rows], Readings], before: Rows, t: float, rows: Array) -> tuple[Array, Array]:
+def _known(unread: Readings, before: Rows, t: float, rows: Array) -> tuple[Array, Array]:
     """Ends of rows of x(t), by the readings before; NaN where these contradict the bounds."""
-    program = RecordProgram(read([*before, (t, ())]))
+    program = RecordProgram(unread.reading([*before, (t, ())]))
     ends = [program.solve(t, row) for row in rows]
     found = np.array([(-down.value, up.value) for up, down in ends]).T
     return (found[0], found[1]) if not program.infeasible else (found[0] * np.nan, found[1] * np.nan)

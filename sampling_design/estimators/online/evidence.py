@@ -9,7 +9,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.interval import Disproof, Interval, prove
-from sampling_design.accuracy.readings import Readings, RowReading, censored_rows, gathered
+from sampling_design.accuracy.readings import Readings, RowReading, censored_rows
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
@@ -45,6 +45,11 @@ class EstimateAssumptions:
     error: BoundedSet
     state: tuple[RowReading, ...] = ()
     _tables: dict[tuple[bytes, ...], GapTable] = field(default_factory=dict, repr=False)
+
+    def unread(self, begin: float, inputs: InputHistory, start: BoundedSet | None = None) -> Readings:
+        """Return what is known before anything is read, of a state in a set (default: unknown) at a time."""
+        known = BoundedSet.of("initial_error", None, self.plant.n_states) if start is None else start
+        return Readings.unread(self.plant, self.disturbance, known, begin, self.noise.ball, inputs)
 
     def program(self, readings: Readings) -> RecordProgram:
         """Return the program of some readings; gaps are shared with those before."""
@@ -156,15 +161,7 @@ class EstimateEvidence:
             rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
         if until is not None:
             rows[until] = self.assumed.state
-        return gathered(
-            self.assumed.plant,
-            self.assumed.disturbance,
-            start,
-            first.t,
-            sorted(rows.items()),
-            ball=self.assumed.noise.ball,
-            inputs=tuple(self.inputs),
-        )
+        return self.assumed.unread(first.t, self.inputs, start).reading(sorted(rows.items()))
 
     def _rows(self, node: HistoryNode) -> tuple[RowReading, ...]:
         C, noise, sizes = self.assumed.plant.C, self.assumed.noise, self.assumed.noise.half_widths

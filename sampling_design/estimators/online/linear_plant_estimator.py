@@ -105,10 +105,8 @@ class LinearPlantEstimator(OnlineEstimator):
             found = self._predict(state, sample.t).interval(rows)
             return found.lower, found.upper
 
-        inputs, before = tuple(state.inputs), self.reader.before
-        censored = resolved(
-            self.plant, assumed.disturbance, inputs, sample.t, sample.censored, known, before, waiting=True
-        )
+        unread = assumed.unread(sample.t, state.inputs)
+        censored = resolved(unread, sample.t, sample.censored, known, self.reader.before, waiting=True)
         return sample._replace(censored=censored)
 
     def _settled(self, state: EstimatorState) -> EstimatorState:
@@ -122,8 +120,8 @@ class LinearPlantEstimator(OnlineEstimator):
         for node in state.nodes[begun if first.number else begun + 1 :]:
             censored = tuple(each.as_read for each in node.sample.censored if each.since is None)
             rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, censored))
-        inputs, before = tuple(state.inputs), self.reader.before
-        proven = censored_together(self.plant, assumed.disturbance, inputs, rows, assumed.noise, first.t, before)
+        unread = assumed.unread(first.t, state.inputs)
+        proven = censored_together(unread, rows, assumed.noise, self.reader.before)
         if proven is None:
             return state
         held = first._replace(box=StateBox(*proven[0], until=last))

@@ -62,7 +62,7 @@ def followed_back(
                 if reach is not None:
                     break
     for gap, columns in propagated.values():
-        every = gap.panels.integral(np.hstack(columns), system.bounds.w_ball)
+        every = gap.integral(np.hstack(columns), system.bounds.w_ball)
         total = total + every.reshape(len(columns), -1).sum(axis=0)
     return total, g, scale, reach
 

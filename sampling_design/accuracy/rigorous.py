@@ -105,7 +105,7 @@ class BallSystem:
     def gap(self, j: int) -> tuple[Matrix, _Panels]:
         """Flow and panels of gap j, as fine as those of the system."""
         gap = self.system.gaps[j]
-        return self.over(gap.length, gap.panels.s.size - 1)
+        return self.over(gap.length, gap.flow.third.size)
 
     def measure(self, entries: list[Ball]) -> Ball:
         """h_W in units of the bounds."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state_scales
+from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.unknown_start import FreeResponses
@@ -43,56 +43,22 @@ AHEAD = 150.0  # growth after the last sample, as an exponent, whose square is a
 
 
 @dataclass(frozen=True, eq=False)
-class GapPanels:
-    """M(s) = (e^{A_z s} G_z)' at panel ends s back from the end of a gap; errors of the trapezoidal rule."""
-
-    s: Array  # (Q+1,)
-    M: Array  # (Q+1, q, n)
-    bend: Array  # (Q+1, q, n): M''
-    third: Array  # (Q,): bound on |M''' g| for |g| = 1 in D coordinates
-    back: Array  # (n, n): g = back mu
-
-    @cached_property
-    def _rows(self) -> tuple[Array, Array]:
-        """M and its second derivative, all panels' rows below each other."""
-        n = self.M.shape[2]
-        return np.ascontiguousarray(self.M.reshape(-1, n)), np.ascontiguousarray(self.bend.reshape(-1, n))
-
-    @cached_property
-    def _weights(self) -> tuple[Array, Array, float]:
-        """Of the values at panel ends, of the largest |p''| on each panel, and what the third derivative adds."""
-        d = np.diff(self.s)
-        return (np.append(d, 0.0) + np.append(0.0, d)) / 2, d**3 / 12, float(d**4 / 24 @ self.third)
-
-    def integral(self, mu: Array, ball: bool) -> Array:
-        """Return an upper bound on int h_W(M(s) mu) ds for each column of mu (n, k), for all real s.
-
-        On a panel |p| lies below its chord plus (s-a)(b-s)/2 sup|p''|; sup|p''| is at most that at the ends plus half
-        a panel times sup|p'''|.
-        """
-        (count, q, _), k = self.M.shape, mu.shape[1]
-        ends, inner, rest = self._weights
-        p, bend = (rows @ mu for rows in self._rows)
-        more = rest * np.linalg.norm(self.back @ mu, axis=0)
-        if ball:
-            size, curve = (np.linalg.norm(X.reshape(count, q, k), axis=1) for X in (p, bend))
-            return np.asarray(ends @ size + inner @ np.maximum(curve[1:], curve[:-1]) + more)
-        size, curve = (np.abs(X, out=X).reshape(count, q * k) for X in (p, bend))
-        total = ends @ size + inner @ np.maximum(curve[1:], curve[:-1])
-        return np.asarray(total.reshape(q, k).sum(axis=0) + q * more)
-
-
-@dataclass(frozen=True, eq=False)
 class GapDynamics:
     """From one sample to the next, in the coordinates of both."""
 
     length: float
     F: Array
-    panels: GapPanels
+    flow: PropagatedGap
+    back: Array
+    """(n, n): g = back mu for columns mu that multiply z at the end of the gap."""
     edges: Array
     """Ends of the cells on which the adversary's w is constant, back from the end of the gap."""
     cells: Array
     """(m, n, q): int over a cell of e^{A_z s} G_z ds."""
+
+    def integral(self, mu: Array, ball: bool) -> Array:
+        """Return an upper bound on the integral over the gap of h_W for each column of mu (n, k), for all real s."""
+        return self.flow.integral(self.back @ mu, ball)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +178,7 @@ class SampledSystem:
     def refined(self, loss: float) -> SampledSystem:
         """Return the system with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
-        fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
+        fresh = [_cells(self.A, self.G, L, gap.flow, gap.length, loss) for L, gap in zip(after, self.gaps, strict=True)]
         cut = zip(self.gaps, fresh, strict=True)
         finer = replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in cut))
         if "reach" in self.__dict__:
@@ -276,7 +242,7 @@ class SampledSystem:
                     raise too_far()
                 if steps and left < CONTRACTED:
                     for gap, columns in propagated.items():
-                        every = self.gaps[gap].panels.integral(np.hstack(columns), self.bounds.w_ball)
+                        every = self.gaps[gap].integral(np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break
@@ -432,18 +398,16 @@ def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, lo
     flow = table.cut(h, PANEL)
     if not np.isfinite(flow.third).all():
         raise too_far()
-    M = np.swapaxes(np.linalg.solve(following, flow.propagated), 1, 2)
-    bend = np.swapaxes(np.linalg.solve(following, flow.bend), 1, 2)
     back = np.asarray(np.linalg.inv(following).T, dtype=np.float64)
-    panels = GapPanels(np.linspace(0.0, h, len(M)), M, bend, flow.third, back)
     through = np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64)
-    return GapDynamics(h, through, panels, *_cells(table.A, table.G, following, panels, loss))
+    return GapDynamics(h, through, flow, back, *_cells(table.A, table.G, following, flow, h, loss))
 
 
-def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:
+def _cells(A: Array, G: Array, following: Array, flow: PropagatedGap, h: float, loss: float) -> tuple[Array, Array]:
     """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
-    s, n = panels.s, len(A)
-    rate = cell_rate(panels.M, panels.bend, loss)
+    n, s = len(A), np.linspace(0.0, h, len(flow.propagated))
+    M, bend = (np.linalg.solve(following, X) for X in (flow.propagated, flow.bend))
+    rate = cell_rate(M, bend, loss)
     marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
     number = max(2, int(np.ceil(marks[-1])))
     even = np.linspace(0.0, s[-1], number + 1)

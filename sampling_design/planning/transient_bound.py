@@ -101,7 +101,7 @@ def _cut(system: SampledSystem, directions: Sequence[BoundedDirections], part: G
     for i, node in enumerate(path):
         if i:
             gap = system.gap(node)
-            total = total + gap.panels.integral(g, system.bounds.w_ball)
+            total = total + gap.integral(g, system.bounds.w_ball)
             g = gap.F.T @ g
         sample, going = system.samples[node], i < last
         lam = np.zeros((len(sample.H), total.size))

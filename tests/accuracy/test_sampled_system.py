@@ -39,7 +39,7 @@ def by_whole_periods(system, j):
         if steps and at == j and np.abs(mu).sum(axis=0).max() < chains.CONTRACTED:
             return np.linalg.solve(np.eye(n) - np.abs(mu).T, cost)
         at, steps = (at - 1) % count, steps + 1
-        cost += system.gaps[at].panels.integral(mu, system.bounds.w_ball)
+        cost += system.gaps[at].integral(mu, system.bounds.w_ball)
         mu = system.gaps[at].F.T @ mu
 
 
@@ -62,8 +62,8 @@ def test_the_reach_satisfies_its_inequality_and_hardly_more(name):
 
 def test_many_samples_take_as_many_steps_as_the_error_lasts(monkeypatch):
     system, calls = made("growing", [4.0] * 60), []
-    panels = chains.GapPanels.integral
-    monkeypatch.setattr(chains.GapPanels, "integral", lambda *given: calls.append(1) or panels(*given))
+    integral = chains.PropagatedGap.integral
+    monkeypatch.setattr(chains.PropagatedGap, "integral", lambda *given: calls.append(1) or integral(*given))
     assert system.reach.shape == (60, 1)
     assert len(calls) == system.forgetting.sum() < 6 * 60
 

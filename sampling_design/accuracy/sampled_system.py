@@ -406,7 +406,7 @@ def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, lo
 def _cells(A: Array, G: Array, following: Array, flow: PropagatedGap, h: float, loss: float) -> tuple[Array, Array]:
     """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
     n, s = len(A), np.linspace(0.0, h, len(flow.propagated))
-    M, bend = (np.linalg.solve(following, X) for X in (flow.propagated, flow.bend))
+    M, bend = (np.asarray(np.linalg.solve(following, X), dtype=np.float64) for X in (flow.propagated, flow.bend))
     rate = cell_rate(M, bend, loss)
     marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
     number = max(2, int(np.ceil(marks[-1])))

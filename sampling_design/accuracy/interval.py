@@ -14,7 +14,7 @@ from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
-from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram
+from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
 from sampling_design.accuracy.undetectable import modes_with, unobservable_modes
 from sampling_design.accuracy.witness import KEPT
@@ -237,7 +237,7 @@ class Interval(TableRecord, PlainRecord):
         disproof, scales = None, freeze(found.scales)
         if found.factors is not None:
             nothing = np.inf, np.zeros(found.gains.shape[2])
-            stated = {which: found.factors.get(which, nothing) for which in SPREADS}
+            stated = {which: found.factors.get(which, nothing) for which in WHICH_BOUNDS}
             factors = {which: factor for which, (factor, _) in stated.items()}
             disproof = Disproof(readings, factors, {which: freeze(own) for which, (_, own) in stated.items()}, scales)
             lower = upper = freeze(np.full(len(rows), np.nan))
@@ -480,7 +480,7 @@ def disprove(program: RecordProgram) -> Disproof | None:
     """Return the proof that the readings of a program contradict the bounds; None where there is none."""
     if not program.contradicted:
         return None
-    gains = {which: program.least_growth(which) for which in SPREADS}
-    factors = {which: program.growth(which, gains[which]) for which in SPREADS}
+    gains = {which: program.least_growth(which) for which in WHICH_BOUNDS}
+    factors = {which: program.growth(which, gains[which]) for which in WHICH_BOUNDS}
     kept = {which: freeze(found) for which, found in gains.items()}
     return Disproof(program.readings, factors, kept, program.table.D)

@@ -54,7 +54,7 @@ LEVELS = len(TOLERANCE)  # levels of cells
 GROWN = 1e3
 """Growth over a gap from which on the solver's last digits decide: its gains are then fed back, others tried."""
 
-SPREADS = ("all", "w", "v")  # which bounds may grow: all of them, that on w alone, those on v alone
+WHICH_BOUNDS = ("all", "w", "v")  # which bounds may grow: all of them, that on w alone, those on v alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +80,15 @@ def _units(readings: Readings, lengths: Array) -> Array:
     exact, H = (readings.size == 0) & ~readings.below, readings.H
     if not exact.any():
         return np.where(readings.below, 1.0, readings.size)
-    spread = np.zeros((H.shape[1], H.shape[1]))
+    covariance = np.zeros((H.shape[1], H.shape[1]))
     if lengths.size:
         with np.errstate(over="ignore", invalid="ignore"):
             W = discounted_flow(readings.A, readings.G @ readings.G.T, lengths)[1].mean(axis=0)
-        spread = np.nan_to_num(W) * float(np.mean(lengths))
+        covariance = np.nan_to_num(W) * float(np.mean(lengths))
     if not readings.start.unbounded:
         root = readings.start.root
-        spread[: len(root), : len(root)] += root @ root.T
-    moved = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", H, spread, H), 0.0))
+        covariance[: len(root), : len(root)] += root @ root.T
+    moved = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", H, covariance, H), 0.0))
     size, noisy = np.linalg.norm(H, axis=1), (readings.size > 0) & ~readings.below
     most = float(np.max(size[noisy] / readings.size[noisy], initial=0.0))
     moved = np.where(moved > 0, moved, np.where(size > 0, size, 1.0) / (most if most > 0 else 1.0))
@@ -471,7 +471,7 @@ class RecordProgram:
         return float(np.sqrt(square).sum() + cost[read.below].sum())
 
     def least_growth(self, which: str) -> Array:
-        """Return gains for the row 0 that prove best by how much bounds (`SPREADS`) would have to grow.
+        """Return gains for the row 0 that prove best by how much bounds (`WHICH_BOUNDS`) would have to grow.
 
         Cells become finer until a multiple that suffices is no larger than that but for `CLOSED`.
         """

@@ -68,9 +68,9 @@ class OutlierRejection(Record):
         return f"{text[0].upper()}{text[1:]}."
 
 
-def beyond(residual: Array, spread: Array, gate: float) -> Mask:
+def beyond(residual: Array, covariance: Array, gate: float) -> Mask:
     """Which entries of a residual (p,) exceed `gate` standard deviations, by the diagonal of its covariance."""
-    size = np.sqrt(np.diag(spread))
+    size = np.sqrt(np.diag(covariance))
     return np.asarray(np.isfinite(size) & (np.abs(residual) > gate * size))
 
 

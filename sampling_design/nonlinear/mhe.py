@@ -263,7 +263,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self.solves.append(SolverRun(*took, data.edges.size - 1, answer.attempts, self.search.degree, answer.error))
         details = {"window_start": float(data.edges[0]), "engine": solution.engine}
         counted, scheduled = self._counted(state, taken)
-        if solution.status != "ok" or answer.spread is None:
+        if solution.status != "ok" or answer.covariances is None:
             x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t)
             note = (
                 f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {rejected_note}".strip()
@@ -273,7 +273,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
         self._latest = data, answer
         x = solution.last * self._scale
-        Y = answer.spread.last * self._scale * self._scale[:, None]
+        Y = answer.covariances.last * self._scale * self._scale[:, None]
         words = [] if solution.message == "solve succeeded" else [f"The solver says: {solution.message}."]
         if rough:
             words.append(
@@ -407,8 +407,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if not np.isfinite(Y).all():
             return fixed
         floor = ARRIVAL_FLOOR**2 * np.linalg.inv(fixed.T @ fixed)
-        spread = np.linalg.cholesky(Y / self._scale / self._scale[:, None] + floor)
-        return np.asarray(np.linalg.qr(np.linalg.solve(spread, np.eye(len(Y))), mode="r"))
+        root = np.linalg.cholesky(Y / self._scale / self._scale[:, None] + floor)
+        return np.asarray(np.linalg.qr(np.linalg.solve(root, np.eye(len(Y))), mode="r"))
 
     def _edges(self, nodes: list[float]) -> Array:
         """Divide the gaps between the nodes into equal pieces of at most `w_step`."""

@@ -17,7 +17,7 @@ from sampling_design.estimators.online.estimate import Estimate, Status
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.inclusion_bound import UNCOVERED, InclusionBound
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, unknown
+from sampling_design.nonlinear.simulation import CovarianceIntegrator, Integrator, unknown
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
@@ -49,12 +49,17 @@ class NonlinearLoop:
         """Build what casadi holds in memory."""
         Qw = self.scaled.twice * self.scaled.Qw
         noise: Array = np.asarray(np.linalg.solve(Qw, np.eye(len(Qw))), dtype=np.float64)
-        self._integrator, self._spread = Integrator(self.plant), SpreadIntegrator(self.plant, noise, self.scaled.eta)
+        self._integrator, self._covariance = (
+            Integrator(self.plant),
+            CovarianceIntegrator(self.plant, noise, self.scaled.eta),
+        )
         self._rough = Integrator(self.plant, GUESS_TOLERANCE)
 
     def __getstate__(self) -> dict[str, object]:
         """Everything but what casadi holds in memory."""
-        return {key: value for key, value in self.__dict__.items() if key not in ("_integrator", "_spread", "_rough")}
+        return {
+            key: value for key, value in self.__dict__.items() if key not in ("_integrator", "_covariance", "_rough")
+        }
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
@@ -100,7 +105,7 @@ class NonlinearLoop:
         for start, stop in pairwise(edges):
             u, later = self.input(state, start), self.input_until(state, start, stop)
             if Y is not None:
-                Y = self._spread.step(x, Y, u, later, start, stop)
+                Y = self._covariance.step(x, Y, u, later, start, stop)
             x = integrator.step(x, u, still, start, stop, later)
         return x, Y
 

@@ -219,7 +219,7 @@ class ThyroidReport(Record):
             values = {span: self.rmse(case, scheme, span) for span in SPANS}
             data[scheme] = {
                 "rmse": {span: plain(np.mean(value)) for span, value in values.items()},
-                "spread": {span: plain(np.std(value)) for span, value in values.items()},
+                "deviation": {span: plain(np.std(value)) for span, value in values.items()},
                 "problems": int(seconds.size),
                 "seconds_mean": float(seconds.mean()),
                 "seconds_max": float(seconds.max()),
@@ -278,12 +278,12 @@ def _paper_ratio() -> float:
     return PAPER_RMSE["sample_based"] / PAPER_RMSE["standard"]
 
 
-def _figure(value: float | None, spread: float | None) -> str:
-    return "-" if value is None else f"{value:.4f} ({spread:.4f})"
+def _figure(value: float | None, deviation: float | None) -> str:
+    return "-" if value is None else f"{value:.4f} ({deviation:.4f})"
 
 
 def _error_row(case: str, span: str, data: Tree) -> list[str]:
-    figures = [_figure(data[scheme]["rmse"][span], data[scheme]["spread"][span]) for scheme in SCHEMES]
+    figures = [_figure(data[scheme]["rmse"][span], data[scheme]["deviation"][span]) for scheme in SCHEMES]
     ratio = data["ratio"][span]
     return [case, _SPAN_WORDS[span], *figures, "-" if ratio is None else f"{ratio:.3f}"]
 

@@ -15,7 +15,9 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
 TOLERANCE = 1e-10  # relative and absolute tolerance of the integrator, in scaled states
-SPREAD_TOLERANCE = 1e-6  # relative tolerance of covariances: a millionth of a variance changes no digit that is printed
+COVARIANCE_TOLERANCE = (
+    1e-6  # relative tolerance of covariances: a millionth of a variance changes no digit that is printed
+)
 MAX_STEPS = 20000  # steps that the integrator may take over one stretch
 
 
@@ -125,7 +127,7 @@ class Integrator:
             return np.full(x.shape, np.nan)
 
 
-class SpreadIntegrator:
+class CovarianceIntegrator:
     """Carries a state and the covariance of its error over a stretch, open loop.
 
         Y' = A Y + Y A' + eta Y + G W G',    A = df/dx, G = df/dw along x
@@ -133,7 +135,9 @@ class SpreadIntegrator:
     Everything is scaled: states by s_x, disturbances by s_w.
     """
 
-    def __init__(self, plant: NonlinearPlant, noise: Array, eta: float, tolerance: float = SPREAD_TOLERANCE) -> None:
+    def __init__(
+        self, plant: NonlinearPlant, noise: Array, eta: float, tolerance: float = COVARIANCE_TOLERANCE
+    ) -> None:
         ca = casadi()
         n, m, q = plant.n_states, plant.n_inputs, plant.n_disturbances
         scale, unit = plant.signals["states"].scales, plant.signals["disturbances"].scales
@@ -144,12 +148,12 @@ class SpreadIntegrator:
         rate = plant.rate_casadi(z * scale, u + s * rise, w * unit, start + s * h) / scale
         A, G = ca.jacobian(rate, z), ca.jacobian(rate, w)
         half = ca.mtimes(A, Y)
-        spread = half + half.T + eta * Y + ca.mtimes([G, ca.DM(noise), G.T]) / size
-        rates, parameters = ca.vertcat(rate, ca.vec(spread)), ca.vertcat(u, rise, w, start, h, size)
+        growth = half + half.T + eta * Y + ca.mtimes([G, ca.DM(noise), G.T]) / size
+        rates, parameters = ca.vertcat(rate, ca.vec(growth)), ca.vertcat(u, rise, w, start, h, size)
         problem = {"x": ca.vertcat(z, ca.vec(Y)), "t": s, "p": parameters, "ode": h * rates}
         options: dict[str, object] = {"reltol": tolerance, "abstol": tolerance**1.5}
         options |= {"max_num_steps": MAX_STEPS, "disable_internal_warnings": True, "show_eval_warnings": False}
-        self._step = ca.integrator("spread", "cvodes", problem, 0.0, 1.0, options)
+        self._step = ca.integrator("covariance", "cvodes", problem, 0.0, 1.0, options)
 
     def step(
         self, x: Array, Y: Array, u: Array, later: Array, start: float, stop: float, w: Array | None = None

@@ -8,9 +8,9 @@ import numpy as np
 
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_covariances import smoothed_covariances
 from sampling_design.nonlinear.window_forms import WindowData
 from sampling_design.nonlinear.window_search import WindowAnswer
-from sampling_design.nonlinear.window_spread import smoothed_covariances
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column
@@ -66,11 +66,11 @@ class SmoothedWindow(TableRecord, CurveRecord):
 
     def _columns(self) -> dict[str, Column]:
         names, outputs = self.plant.states.names, self.plant.outputs.names
-        spread = self.deviation
+        deviation = self.deviation
         return {
             "time": self.times,
             **{name: self.x[:, i] for i, name in enumerate(names)},
-            **{f"{name} deviation": spread[:, i] for i, name in enumerate(names)},
+            **{f"{name} deviation": deviation[:, i] for i, name in enumerate(names)},
             **{f"{name} residual": self.residuals[:, i] for i, name in enumerate(outputs)},
         }
 
@@ -100,9 +100,9 @@ def smoothed_window(
 ) -> SmoothedWindow:
     """Return the physical trajectory of a window that was solved."""
     assert answer.slopes is not None
-    assert answer.spread is not None
+    assert answer.covariances is not None
     scale = plant.scales
-    covariance = smoothed_covariances(answer.spread, answer.slopes, data.edges, weights.eta)
+    covariance = smoothed_covariances(answer.covariances, answer.slopes, data.edges, weights.eta)
     missed = np.where(data.mask > 0, data.y - answer.slopes.outputs, np.nan)
     return SmoothedWindow(
         plant=plant,

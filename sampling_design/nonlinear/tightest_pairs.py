@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.simulation import SpreadIntegrator
+from sampling_design.nonlinear.simulation import CovarianceIntegrator
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.numerics.filtering import measurement_update, whitened
 from sampling_design.numerics.linalg import symmetrise
@@ -61,21 +61,25 @@ class TightestPairs:
         self.plant, self.weights = plant, weights
         self.scale = plant.scales
         noise: Array = np.asarray(np.linalg.solve(weights.Qw, np.eye(len(weights.Qw))), dtype=np.float64)
-        self._loud, self._quiet = (SpreadIntegrator(plant, part, weights.eta, TOLERANCE) for part in (noise, 0 * noise))
+        self._loud, self._quiet = (
+            CovarianceIntegrator(plant, part, weights.eta, TOLERANCE) for part in (noise, 0 * noise)
+        )
 
     def along(self, path: SampledTrajectory, P1: Array) -> PairOutcome:
         """Return the tightest of all times along a trajectory."""
         own: Array = np.asarray(np.linalg.cholesky(self.weights.P2), dtype=np.float64)
         other: Array = np.asarray(np.linalg.cholesky(P1), dtype=np.float64)
-        loud = self._spreads(path, self._loud, own)
-        quiet = max(_largest(Y, own) for _, Y in self._spreads(path, self._quiet, own))
+        loud = self._covariances(path, self._loud, own)
+        quiet = max(_largest(Y, own) for _, Y in self._covariances(path, self._quiet, own))
         lam, lam_time = max((_largest(Y, own), t) for t, Y in loud)
         most, k = max((_largest(Y, other), k) for k, (_, Y) in enumerate(loud))
         half = symmetrise(other.T @ loud[k][1] @ other)
         direction: Array = np.asarray(np.linalg.solve(other.T, np.linalg.eigh(half)[1][:, -1]), dtype=np.float64)
         return PairOutcome(1 / most, loud[k][0], direction, lam, lam_time, quiet)
 
-    def _spreads(self, path: SampledTrajectory, integrator: SpreadIntegrator, own: Array) -> list[tuple[float, Array]]:
+    def _covariances(
+        self, path: SampledTrajectory, integrator: CovarianceIntegrator, own: Array
+    ) -> list[tuple[float, Array]]:
         """Y at the times looked at, as far as it can be followed."""
         n = own.shape[0]
         Y: Array = np.asarray(np.linalg.solve(self.weights.P2, np.eye(n)), dtype=np.float64)
@@ -99,7 +103,7 @@ class TightestPairs:
         return [(t, Y) for t, Y in covariances if np.isfinite(Y).all()]
 
     def _carried(
-        self, path: SampledTrajectory, j: int, Y: Array, times: list[float], integrator: SpreadIntegrator
+        self, path: SampledTrajectory, j: int, Y: Array, times: list[float], integrator: CovarianceIntegrator
     ) -> list[tuple[float, Array]]:
         """Y at increasing times after a grid time."""
         unit, start = self.scale["states"], float(path.grid[j])
@@ -114,8 +118,8 @@ class TightestPairs:
         C, E = (np.array(slopes[k]) for k in (3, 5))
         C, E = C * scale["states"] / scale["outputs"][:, None], E * scale["noises"] / scale["outputs"][:, None]
         noise = np.linalg.solve(weights.R, np.eye(len(weights.R))) + E @ np.linalg.solve(weights.Qv, E.T)
-        spread: Array = np.asarray(noise, dtype=np.float64)
-        return measurement_update(Y, whitened(C[mask], spread[np.ix_(mask, mask)]))
+        covariance: Array = np.asarray(noise, dtype=np.float64)
+        return measurement_update(Y, whitened(C[mask], covariance[np.ix_(mask, mask)]))
 
 
 def _largest(Y: Array, factor: Array) -> float:

@@ -12,8 +12,8 @@ from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_covariances import WindowCovariances, window_covariances
 from sampling_design.nonlinear.window_forms import ProgramPoint, WindowData, WindowSlopes, WindowSolution
-from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import processor_seconds
 
@@ -126,7 +126,7 @@ class WindowAnswer(NamedTuple):
     solution: WindowSolution
     attempts: int
     slopes: WindowSlopes | None = None
-    spread: WindowSpread | None = None
+    covariances: WindowCovariances | None = None
     jumps: Array | None = None
     error: float = 0.0
 
@@ -277,8 +277,8 @@ class WindowSearch:
 
     def _starts(self, data: WindowData) -> list[Array]:
         """Scaled states about the prior, along the axes of what it leaves unknown, the longest first."""
-        spread = np.linalg.solve(data.root, np.eye(data.prior.size))
-        axes, sizes, _ = np.linalg.svd(spread)
+        root = np.linalg.solve(data.root, np.eye(data.prior.size))
+        axes, sizes, _ = np.linalg.svd(root)
         lower, upper = (bound[: data.prior.size] for bound in self.program.boxes)
         steps = [sign * REACH * size * axes[:, k] for k, size in enumerate(sizes) for sign in (1.0, -1.0)]
         return [np.clip(data.prior + step, lower, upper) for step in steps]
@@ -301,17 +301,19 @@ class WindowSearch:
         slopes = answer.slopes or self.program.linearised(data, solution)
         nodes = solution.nodes
         if self.collocation.accuracy is None:
-            return answer._replace(slopes=slopes, spread=spread_of(data.edges, slopes, data.root, weights))
+            return answer._replace(
+                slopes=slopes, covariances=window_covariances(data.edges, slopes, data.root, weights)
+            )
         jumps = self.jumps(data, solution)
         if not np.isfinite(jumps).all():
-            spread = spread_of(data.edges, slopes, data.root, weights)
-            return answer._replace(slopes=slopes, spread=spread, jumps=jumps, error=np.inf)
-        spread = spread_of(data.edges, slopes, data.root, weights, jumps)
-        deviation = np.sqrt(np.einsum("ij,ij->i", spread.filtered[-1], spread.filtered[-1]))
-        moved_by = np.maximum(np.abs(spread.bias) - FLOOR * np.abs(nodes).max(axis=0), 0.0)
+            covariances = window_covariances(data.edges, slopes, data.root, weights)
+            return answer._replace(slopes=slopes, covariances=covariances, jumps=jumps, error=np.inf)
+        covariances = window_covariances(data.edges, slopes, data.root, weights, jumps)
+        deviation = np.sqrt(np.einsum("ij,ij->i", covariances.filtered[-1], covariances.filtered[-1]))
+        moved_by = np.maximum(np.abs(covariances.bias) - FLOOR * np.abs(nodes).max(axis=0), 0.0)
         with np.errstate(divide="ignore"):
             error = float(np.max(np.divide(moved_by, deviation, out=np.zeros_like(deviation), where=moved_by > 0)))
-        return answer._replace(slopes=slopes, spread=spread, jumps=jumps, error=error)
+        return answer._replace(slopes=slopes, covariances=covariances, jumps=jumps, error=error)
 
     def jumps(self, data: WindowData, solution: WindowSolution) -> Array:
         """Where each piece really ends, seen from the next node, scaled; NaN where it cannot be integrated."""

@@ -14,7 +14,7 @@ from sampling_design.numerics.filtering import propagate
 from sampling_design.records.arrays import Array
 
 
-class WindowSpread(NamedTuple):
+class WindowCovariances(NamedTuple):
     """Filtered covariances of a window as roots, scaled, discounted to each node's own time.
 
     filtered (K+1, n, n) with S S' = Y after the samples of each node, grown (K+1, n, n) before them; noise (K, n, n):
@@ -32,9 +32,9 @@ class WindowSpread(NamedTuple):
         return np.asarray(self.filtered[-1] @ self.filtered[-1].T)
 
 
-def spread_of(
+def window_covariances(
     edges: Array, slopes: WindowSlopes, root: Array, weights: NonlinearWeights, jumps: Array | None = None
-) -> WindowSpread:
+) -> WindowCovariances:
     """Return the covariances of a window, without its boxes.
 
         Y <- e^{eta h} F Y F' + G (Qw int e^{-eta s} ds)^-1 G',    Y^-1 <- Y^-1 + H'WH at a sample
@@ -54,8 +54,8 @@ def spread_of(
     if len(lengths) and slopes.G.shape[2]:
         lower = np.linalg.cholesky(weights.twice * weights.Qw)
         worth = np.sqrt(discounted_length(weights.eta, lengths))[:, None, None]
-        pushed = np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth
-        triangle: Array = np.asarray(np.linalg.qr(pushed, mode="r"), dtype=np.float64)
+        noise_roots = np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth
+        triangle: Array = np.asarray(np.linalg.qr(noise_roots, mode="r"), dtype=np.float64)
         noise_flow[:, :, : triangle.shape[1]] = triangle.transpose(0, 2, 1)
     filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
     bias, whitened_rows = np.zeros(n), slopes.roots @ slopes.H
@@ -77,21 +77,21 @@ def spread_of(
             if jumps is not None:
                 bias = bias - S.dot(A.dot(half).T.dot(whitened_rows[k].dot(bias)))
         filtered[k] = S
-    return WindowSpread(filtered, grown, noise_flow, bias)
+    return WindowCovariances(filtered, grown, noise_flow, bias)
 
 
-def smoothed_covariances(spread: WindowSpread, slopes: WindowSlopes, edges: Array, eta: float) -> Array:
+def smoothed_covariances(covariances: WindowCovariances, slopes: WindowSlopes, edges: Array, eta: float) -> Array:
     """Return the covariances (K+1, n, n) at all nodes, given all samples, discounted to the window's end.
 
     Y_j = (I - J F) Y (I - J F)' + J (Y_{j+1} + N) J',    J = Y F' (F Y F' + N)^-1
     """
-    found = np.empty_like(spread.filtered)
-    found[-1] = spread.last
+    found = np.empty_like(covariances.filtered)
+    found[-1] = covariances.last
     n = found.shape[1]
     for k in range(len(edges) - 2, -1, -1):
         growth = np.exp(eta * (edges[-1] - edges[k]))
-        root, F = np.sqrt(growth) * spread.filtered[k], slopes.F[k]
-        noise = np.sqrt(np.exp(eta * (edges[-1] - edges[k + 1]))) * spread.noise[k]
+        root, F = np.sqrt(growth) * covariances.filtered[k], slopes.F[k]
+        noise = np.sqrt(np.exp(eta * (edges[-1] - edges[k + 1]))) * covariances.noise[k]
         ahead = F @ root
         # J' solves (F Y F' + N) J' = F Y, here as a least-squares problem of the roots
         both = np.hstack([ahead, noise])

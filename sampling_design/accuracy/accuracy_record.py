@@ -124,8 +124,17 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return self.question.bounds
 
     def projection(self, first: str, second: str, t: float | None = None, directions: int = 24) -> Projection:
-        """Return the exact set of what data may leave possible of two rows at one time (`accuracy.projection`)."""
-        return project_rows(self, first, second, t, directions)
+        """Return the exact set of what data may leave possible of two rows at one time (`accuracy.projection`).
+
+        Default time: the worst one of the first row.
+        """
+        question, place = self.question, self.rows.names.index(first) if first in self.rows.names else 0
+        if t is None:
+            t = float(self.worst[place])
+            t += (question.end - question.nodes[0]) * (t < question.nodes[0] and question.initial is None)
+        back = max([len(g) for part in self.proof for g in part.gains], default=8)
+        deep = max([back, *(w.samples.size for w in self.witnesses if w is not None)])
+        return project_rows(question, first, second, t, directions, back, deep)
 
     def verify(self, rigorous: bool = False) -> bool:
         """Whether both sides hold, recomputed from gains and witnesses without a solver.

@@ -16,10 +16,12 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
 from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
-from sampling_design.accuracy.undetectable import modes_with, unobservable_modes
+from sampling_design.accuracy.undetectable import modes_with
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
@@ -342,7 +344,9 @@ class Interval(TableRecord, PlainRecord):
     def unobservable_modes(self) -> tuple[str, ...]:
         """Eigenvalues that no output that was read shows, in words."""
         measured = {row.H.tobytes(): row.H for rows in self.readings.rows for row in rows if not row.below}
-        return unobservable_modes(self.plant.A, np.array(list(measured.values())).reshape(-1, self.plant.n_states))
+        C = np.array([*measured.values(), np.zeros(self.plant.n_states)])
+        found = unobservable_modes(Plant(self.plant.A, C)).eigenvalues
+        return tuple(dict.fromkeys(format_eigenvalue(complex(value)) for value in found))
 
 
 @checked

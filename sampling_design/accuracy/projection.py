@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.between_samples import open_row
 from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
@@ -16,11 +15,11 @@ from sampling_design.accuracy.riccati import in_turn, strong
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.start import InitialSet
-from sampling_design.accuracy.witness import AccuracyWitness, attains, physical
+from sampling_design.accuracy.witness import attains, physical
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import CovarianceMap, information_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
-from sampling_design.plants.rows import RequestedRows, requested_rows
+from sampling_design.plants.rows import requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
@@ -29,30 +28,6 @@ from sampling_design.records.signatures import checked
 
 DISCOUNTS = np.geomspace(1e-3, 10.0, 13)  # Discounts of an ellipsoid over a mean gap that are tried
 SHARES = np.geomspace(1e-2, 0.9, 9)  # shares of a sample in an ellipsoid that are tried
-
-
-class BracketedRows(Protocol):
-    """Rows whose accuracy is known: what a projection asks of it."""
-
-    @property
-    def question(self) -> AccuracyQuestion:
-        """Plant, schedule and bounds."""
-
-    @property
-    def rows(self) -> RequestedRows:
-        """The rows."""
-
-    @property
-    def worst(self) -> Array:
-        """The worst time of each, (r,)."""
-
-    @property
-    def proof(self) -> tuple[GapProof, ...]:
-        """Gains: how far back they look."""
-
-    @property
-    def witnesses(self) -> tuple[AccuracyWitness | None, ...]:
-        """Trajectories: how far back they go."""
 
 
 class ProjectionAreas(NamedTuple):
@@ -116,20 +91,22 @@ class Projection(PlainRecord):
 
 @checked
 def project_rows(
-    found: BracketedRows, first: str, second: str, t: float | None = None, directions: int = 24
+    question: AccuracyQuestion, first: str, second: str, t: float, directions: int, back: int, deep: int
 ) -> Projection:
     """Return the projection of { x : c'x <= rho(c; t) for all c } on two states or outputs.
 
     Parameters
     ----------
-    found : Accuracy
-        Its question is asked anew, for other rows.
+    question : AccuracyQuestion
+        Asked anew, for other rows.
     first, second : str
         Names of states or outputs.
-    t : float, optional
-        Within the period, or the finite schedule; at a sample: after it. Default the worst time of the first row.
+    t : float
+        Within the period, or the finite schedule; at a sample: after it.
     directions : int
         Rows c, spread over half a turn in units of the two half-widths.
+    back, deep : int
+        Samples that gains and trajectories look back.
 
     Returns
     -------
@@ -152,7 +129,6 @@ def project_rows(
     Milanese and Tempo (1985); Schweppe, Recursive state estimation: unknown but bounded errors and system inputs
     (1968).
     """
-    question = found.question
     if question.is_late:
         raise ArgumentError(
             "`projection` is of samples on time, known at once: leave `timing_tolerance`, `result_delay` out."
@@ -164,11 +140,12 @@ def project_rows(
     known = question.known()
     if any(known.touches(row) for row in rows.matrix):
         raise ArgumentError(f"`first` and `second` must be known, got {first!r} and {second!r}.")
-    at = _time(found, first, t)
+    at = checks.number("t", t)
+    if not question.nodes[0] <= at <= question.end:
+        raise ArgumentError(f"`t` must lie in [{float(question.nodes[0])!r}, {question.end!r}], got {at!r}.")
     node = int(np.searchsorted(question.nodes, at, side="right")) - 1
     search = GainSearch(*question.filter_bounds(known.plant, known.moving))
-    search.back = max([len(g) for part in found.proof for g in part.gains], default=8)
-    search.deep = max([search.back, *(w.samples.size for w in found.witnesses if w is not None)])
+    search.back, search.deep = back, deep
     lifted = rows.matrix @ known.lift
     sizes = np.array([_reached(search, node, row, at - question.nodes[node], question)[0] for row in lifted])
     if not np.all(np.isfinite(sizes)):
@@ -191,18 +168,6 @@ def project_rows(
         freeze(_hull(both / sizes) * sizes),
         freeze(shape),
     )
-
-
-def _time(found: BracketedRows, first: str, t: float | None) -> float:
-    question = found.question
-    if t is None:
-        place = found.rows.names.index(first) if first in found.rows.names else 0
-        at = float(found.worst[place])
-        return at + (question.end - question.nodes[0]) if at < question.nodes[0] and question.initial is None else at
-    at = checks.number("t", t)
-    if not question.nodes[0] <= at <= question.end:
-        raise ArgumentError(f"`t` must lie in [{float(question.nodes[0])!r}, {question.end!r}], got {at!r}.")
-    return at
 
 
 def _reached(search: GainSearch, node: int, row: Array, d: float, question: AccuracyQuestion) -> tuple[float, Array]:

@@ -108,20 +108,6 @@ def open_modes(A: Array, U: Array) -> tuple[str, ...]:
     return tuple(found)
 
 
-def unobservable_modes(A: Array, C: Array) -> tuple[str, ...]:
-    """Return the eigenvalues of A, in words, that some direction has which no row of C shows (Hautus)."""
-    d = balanced_schur(A).d
-    A, C = A * d / d[:, None], C * d
-    size = np.linalg.norm(C, axis=1, keepdims=True)
-    C = C / np.where(size > 0, size, 1.0) * max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
-    found = []
-    for cluster in eigenvalue_clusters(A):
-        norms = np.linalg.svd(np.vstack([A - complex(cluster.value) * np.eye(len(A)), C]), compute_uv=False)
-        if not norms[-1] > UNSEEN * norms[0]:
-            found.append(format_eigenvalue(complex(cluster.value)))
-    return tuple(found)
-
-
 def _scales(plant: Plant, period: float) -> Array:
     """One over what the outputs show of each state over as many periods as there are states: units play no part.
 

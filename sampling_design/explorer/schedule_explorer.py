@@ -256,19 +256,19 @@ class ScheduleExplorer:
         messages = self._rules()
         if not self.split.retained.n_states:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "messages": [*messages, self.split.explain()]}
-        shown = self._window_sigma(self.schedule)
-        profile = shown.profile
-        broken = [] if shown.lower > self.clear else self._broken(shown, moving)
+        found = self._window_sigma(self.schedule)
+        profile = found.profile
+        broken = [] if found.lower > self.clear else self._broken(found, moving)
         return {
             "t": profile.t.tolist(),
             "sigma": profile.sigma.tolist(),
             "piece": profile.piece.tolist(),
-            "lower": shown.lower,
-            "upper": shown.upper,
-            "worst": shown.witness.t,
-            "scaled": shown.coordinates == "scaled",
-            "late": shown._late(),
-            "left": None if moving or shown.deviations is None else _left(shown.deviations),
+            "lower": found.lower,
+            "upper": found.upper,
+            "worst": found.witness.t,
+            "scaled": found.coordinates == "scaled",
+            "late": found._late(),
+            "left": None if moving or found.deviations is None else _left(found.deviations),
             "messages": [*messages, *broken],
             "broken": bool(broken),
         }
@@ -426,9 +426,9 @@ class ScheduleExplorer:
             if not np.all(np.isfinite(found.upper)) or np.any(found.known_from > self.period):
                 steps.append({"after": k, "corners": []})
                 continue
-            seen = found.projection(*self.projection, self.period, directions=8)
-            steps.append({"after": k, "corners": seen.outer.tolist(), "area": float(seen.areas().outer)})
-            names = tuple(f"{n} [{u}]" if u else n for n, u in zip(seen.names, seen.units, strict=True))
+            region = found.projection(*self.projection, self.period, directions=8)
+            steps.append({"after": k, "corners": region.outer.tolist(), "area": float(region.areas().outer)})
+            names = tuple(f"{n} [{u}]" if u else n for n, u in zip(region.names, region.units, strict=True))
         return {"steps": steps, "names": list(names)}
 
     def _plan(self) -> Reply:

@@ -75,8 +75,8 @@ def _violated(
         trajectory = pool.trajectories[a]
         coverage = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
         if not covering.whole:
-            seen = np.fft.rfft(np.minimum(view[:, covering.used].sum(axis=1), 1.0))
-            coverage = np.minimum(coverage, np.fft.irfft(samples * seen, steps))
+            any_sensor = np.fft.rfft(np.minimum(view[:, covering.used].sum(axis=1), 1.0))
+            coverage = np.minimum(coverage, np.fft.irfft(samples * any_sensor, steps))
         asked = pool.ends[trajectory.goal].astype(float)
         if trajectory.at_sample:
             asked = asked * np.where(covering.sample_of >= 0, x[covering.sample_of], 0.0)

@@ -232,8 +232,8 @@ class _Planning:
 
     def _lifted(self, run: _Planning) -> list[Mask]:
         """What a search on a coarser grid holds, the last first, and all of its times if they do, on this one."""
-        held = [chosen for chosen, _ in run.search.incumbents[::-1]] + [densest(run.problem)] * run.kept
-        return lifted_choices(self.problem, held)
+        feasible = [chosen for chosen, _ in run.search.incumbents[::-1]] + [densest(run.problem)] * run.kept
+        return lifted_choices(self.problem, feasible)
 
     def sought(self) -> ProvenChoice:
         """What the search for the requirement's aim comes to, proven."""
@@ -302,7 +302,7 @@ class _Planning:
         if self.problem.requirement.aim == "cheapest":
             try:
                 best = self.feasible.cheapest([chosen for chosen, _ in incumbents], densest(self.problem))
-            except UndecidedError:  # the densest one was judged too well, and nothing else is held
+            except UndecidedError:  # the densest one was judged too well, and nothing else is feasible
                 raise KeyboardInterrupt from None
         else:
             best = self.feasible.sharpest(incumbents, self.feasible.proven(incumbents[-1][0]))

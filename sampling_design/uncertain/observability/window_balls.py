@@ -41,9 +41,9 @@ class WindowsOverBox:
         self, model: BoxModel, pieces: WindowPieces, *, losing: bool = False, unobservable_share: float = UNOBSERVABLE
     ) -> None:
         """With `losing` every piece once for each of its samples, without that: of the number `lost`."""
-        held = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)
-        piece = np.repeat(np.arange(len(pieces)), held)
-        self.lost = pieces.first[piece] + np.arange(piece.size) - np.repeat(np.cumsum(held) - held, held)
+        copies = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)
+        piece = np.repeat(np.arange(len(pieces)), copies)
+        self.lost = pieces.first[piece] + np.arange(piece.size) - np.repeat(np.cumsum(copies) - copies, copies)
         if losing:
             left, right, first, stop = pieces.left[piece], pieces.right[piece], pieces.first[piece], pieces.stop[piece]
             pieces = replace(pieces, left=left, right=right, first=first, stop=stop)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
-from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
+from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket, AccuracyProfile
 from sampling_design.accuracy.between_samples import speed_of
+from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
+from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.accuracy.projection import Projection, project_rows
@@ -19,8 +19,39 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.checks import freeze
 from sampling_design.records.record import CurveRecord, Plain, PlainRecord, TableRecord, Variable, moment, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyProfile:
+    """Both bounds over time: `upper` holds all along [edges[k], edges[k+1]], `lower` is attained at edges[k].
+
+    Attributes
+    ----------
+    edges : (N+1,) array
+        From the first sample of a period on, or from the start of a finite schedule [the plant's time unit].
+    lower : (r, N) array
+    upper : (r, N) array
+        Infinite where the samples taken by then do not determine the row.
+    samples : (m,) array
+        Sample times.
+    """
+
+    edges: Array
+    lower: Array
+    upper: Array
+    samples: Array
+
+    def repeated(self, times: Array) -> AccuracyProfile:
+        """The profile of one period over as many of them as `times` (sample times from the same first one on) fill."""
+        count = times.size // self.samples.size
+        starts = times[:: self.samples.size] - times[0]
+        edges = np.append((self.edges[:-1] + starts[:, None]).ravel(), self.edges[-1] + starts[-1])
+        return AccuracyProfile(
+            freeze(edges), freeze(np.tile(self.lower, count)), freeze(np.tile(self.upper, count)), times
+        )
 
 
 class AccuracyBracket(TableRecord, PlainRecord):

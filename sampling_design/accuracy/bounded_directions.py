@@ -21,6 +21,16 @@ PARTNERS = 4  # directions tried beside the nearest one
 NEIGHBOURS = (64, 16, 4, 1)  # how far away, on both sides, the neighbours are whose pairs a target tries
 
 
+@dataclass(frozen=True, eq=False)
+class GapProof:
+    """Gains for some directions at one sample: what bounds every row from above over the gap that follows."""
+
+    sample: int  # its place in the schedule's period
+    directions: Array  # (m, n): in the coordinates of the system
+    # for each direction, the gains of the samples back in time, the latest last, in units of v_bound
+    gains: tuple[tuple[Array, ...], ...]
+
+
 @dataclass(eq=False)
 class BoundedDirections:
     """Bounded directions after one sample."""

@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.between_samples import FINENESS, GRID
-from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.numerics.balls import Ball, Matrix, ball, flint, matrix, precision
 from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
-    from sampling_design.accuracy.accuracy_profile import GapProof
     from sampling_design.accuracy.witness import AccuracyWitness
 
 

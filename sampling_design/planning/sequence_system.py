@@ -9,9 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.between_samples import KnownIntegrals
-from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof
 from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, coordinate_root, finite_directions, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out

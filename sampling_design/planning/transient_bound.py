@@ -14,8 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_profile import GapProof
-from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof
 from sampling_design.accuracy.gains import ROUNDING
 from sampling_design.accuracy.sampled_system import SampledSystem, noise_cost
 from sampling_design.planning.figures import PlanFigures

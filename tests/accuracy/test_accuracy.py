@@ -9,7 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import search
-from sampling_design.accuracy.accuracy_profile import GapProof
+from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.errors import ArgumentError
 from sampling_design.plants import library
 from tests.cases import few

@@ -43,7 +43,6 @@ from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
 
 PANELS = (4, 32)  # least and largest number of panels of a stretch on which inputs are constant
 
@@ -199,8 +198,8 @@ class _Reading(NamedTuple):
 
 def start_of_dated(
     unread: Readings, samples: Sequence[RecordRow], noise: tuple[Array, Array], before: bool = False
-) -> tuple[Array, Array] | None:
-    """Return a centre and half-widths of the state at the start that the readings prove; None if they prove none.
+) -> BoundedSet | None:
+    """Return the box of the state at the start that the readings prove; None if they prove none.
 
     `noise`: the sizes (N, p) and the middles of what is added to each reading; `before` as in `resolved`.
     """
@@ -230,7 +229,7 @@ def start_of_dated(
             moves = tuple(TimeShift(apart, item.t, i, end, before) for end in (first, last))
             censored.append(_Reading(item.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
     found = _bounded(apart, censored)
-    return None if found is None else (freeze(x), freeze(found))
+    return None if found is None else BoundedSet.box(x, found)
 
 
 def _bounded(apart: Readings, censored: Sequence[_Reading]) -> Array | None:

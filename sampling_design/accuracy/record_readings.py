@@ -89,7 +89,7 @@ def read_record(
     error = replace(BoundedSet.of("initial_error", initial_error, plant.n_states), centre=centre)
     unread = Readings.unread(plant, disturbance, error, start, bounds.v_ball, inputs)
     proven = start_of_dated(unread, samples, (bounds.v, centre_v)) if spans and error.unbounded else None
-    unread = unread if proven is None else replace(unread, start=BoundedSet.box(*proven))
+    unread = unread if proven is None else replace(unread, start=proven)
     said = _one_by_one(unread, samples, (bounds.v, centre_v))
     rows = [(item.t, own) for item, (_, own) in zip(samples, said, strict=True)]
     if also is not None and also < start:
@@ -99,8 +99,8 @@ def read_record(
 
 def censored_together(
     unread: Readings, samples: Sequence[RecordRow], noise: BoundedSet, before: bool
-) -> tuple[tuple[Array, Array], list[tuple[CensoredReading, ...]]] | None:
-    """Return a box of the start (middle, half-widths), and what readings of uncertain times say together of theirs.
+) -> tuple[BoundedSet, list[tuple[CensoredReading, ...]]] | None:
+    """Return a box of the start, and what readings of uncertain times say together of theirs.
 
     Of the start nothing else is known; None if they bound nothing. Samples are less D u.
     """
@@ -108,7 +108,7 @@ def censored_together(
     proven = start_of_dated(unread, samples, every, before)
     if proven is None:
         return None
-    known = replace(unread, start=BoundedSet.box(*proven))
+    known = replace(unread, start=proven)
     return proven, [row for row, _ in _one_by_one(known, samples, every, before, waiting=True)]
 
 

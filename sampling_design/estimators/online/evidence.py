@@ -155,7 +155,7 @@ class EstimateEvidence:
             root = _root(first.beta * first.Y) if known else np.zeros_like(first.Y)
             start = BoundedSet(first.x, root, ball=known, unbounded=not known)
         if start.unbounded and first.box is not None:
-            start = BoundedSet.box(first.box.middle, first.box.half)
+            start = first.box.within
         rows: dict[float, tuple[RowReading, ...]] = {}
         for node in nodes:
             rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)

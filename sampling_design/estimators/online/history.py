@@ -11,6 +11,7 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
@@ -69,8 +70,7 @@ class SampleBranch:
 class StateBox(NamedTuple):
     """A box that holds the state, by samples until some time."""
 
-    middle: Array
-    half: Array
+    within: BoundedSet
     until: float
 
 

@@ -124,7 +124,7 @@ class LinearPlantEstimator(OnlineEstimator):
         proven = censored_together(unread, rows, assumed.noise, self.reader.before)
         if proven is None:
             return state
-        held = first._replace(box=StateBox(*proven[0], until=last))
+        held = first._replace(box=StateBox(proven[0], until=last))
         found = state._replace(nodes=(*state.nodes[:begun], held, *state.nodes[begun + 1 : at]))
         said = {row.t: censored for row, censored in zip(rows, proven[1], strict=True)}
         for node in state.nodes[at:]:

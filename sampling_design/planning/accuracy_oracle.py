@@ -36,10 +36,18 @@ SCALED = 1 + 1e-9  # a trajectory is divided by the largest ratio of its w to th
 class GridSpan(NamedTuple):
     """A stretch of the grid in which no result comes in, after the latest sample of which something is in."""
 
-    last: int  # the step of that sample
+    last: int  # the step of that sample; in a sequence, its number
     begin: int  # begin, length: offsets from it that are looked at
     length: int
-    out: tuple[Index, Mask] | None = None  # the steps of samples of which some results are out, and what is in (k, p)
+    arrived: Mask | None = None  # (k, p): what is in of the last samples, of some of which not all is
+    end: float = np.inf  # when it is over, in a sequence
+
+    def known(self, measured: Mask) -> Mask:
+        """What is in of samples that measure so much (K, p), the latest last."""
+        if self.arrived is None:
+            return measured
+        count = min(len(self.arrived), len(measured))
+        return np.concatenate([measured[: len(measured) - count], self.arrived[len(self.arrived) - count :]])
 
 
 class AccuracyOracle:
@@ -141,7 +149,7 @@ class AccuracyOracle:
         length = int(np.floor(each.end - last + WHOLE))
         if begin > length:
             return None
-        return GridSpan(first + last, begin, length, (first + np.round(each.times).astype(np.intp), each.arrived))
+        return GridSpan(first + last, begin, length, each.arrived)
 
     def in_other_gaps(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
         """The strongest one against a goal that is broken in a gap, for each gap but that in which a known one ends."""
@@ -297,11 +305,7 @@ class AccuracyOracle:
     def _window(self, chosen: Mask, span: GridSpan, back: int) -> GridWindow:
         """The window of samples of an endless schedule up to a step, without what is out."""
         knots = self._knots(chosen, span.last, back)
-        measured = chosen[knots % self.problem.steps]
-        if span.out is not None:
-            count = min(len(span.out[0]), len(knots))
-            measured = np.concatenate([measured[: len(knots) - count], span.out[1][len(span.out[1]) - count :]])
-        return GridWindow(self.discrete, knots, measured)
+        return GridWindow(self.discrete, knots, span.known(chosen[knots % self.problem.steps]))
 
     def _knots(self, chosen: Mask, last: int, back: int) -> Index:
         """The steps of its samples."""

@@ -8,10 +8,18 @@ from itertools import chain, groupby, pairwise
 
 import numpy as np
 
+from sampling_design.planning.accuracy_oracle import GridSpan
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
-from sampling_design.planning.sequence import SequenceSpan, is_past, judged_at_once, longest_out, spans_of, window_after
+from sampling_design.planning.sequence import (
+    is_past,
+    judged_at_once,
+    longest_out,
+    span_begin,
+    spans_of,
+    window_after,
+)
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, sequence_filter
 from sampling_design.records.arrays import Array
 
@@ -92,7 +100,7 @@ def reached_at(plan: PlanFigures, history: SampleSequence, since: float, until: 
     past = _ending(history, max(until, float(history.times[-1]) + WHOLE * plan.problem.step), since)
     ahead = spans_of(plan, past)
     if past.result_delay is None:
-        ahead = [span for span in ahead if span.k == len(past.times) - 2]
+        ahead = [span for span in ahead if span.last == len(past.times) - 2]
     judged = [each for i, span in enumerate(ahead) for each in _in_gap(plan, past, i, span, level)]
     judged += _deviations(plan, past, np.inf)
     over = [float(each.times[each.ratios > level][0]) for each in judged if np.any(each.ratios > level)]
@@ -115,7 +123,7 @@ def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> G
     pending = {goal.name for goal in plan.goals}
     found: dict[str, GoalDeadline] = {}
     for i, span in [*enumerate(spans_of(plan, past))][::-1]:
-        for each in [*_in_gap(plan, past, i, span, 1.0), *deviations.get(span.k, ())]:
+        for each in [*_in_gap(plan, past, i, span, 1.0), *deviations.get(span.last, ())]:
             if each.goal not in pending:
                 continue
             kept = np.flatnonzero(each.ratios < 1)
@@ -135,7 +143,7 @@ def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: f
     worst = before = 0.0
     back, out, count = departs_and_returns(plan, sequence)[1], longest_out(plan), judged_at_once(plan)
     for i, span in enumerate(spans_of(plan, sequence)):
-        if span.since(sequence, plan.oracle) >= until + out:
+        if span_begin(plan, sequence, span) >= until + out:
             return
         for each in _in_gap(plan, sequence, i, span, level):
             worst = max(worst, float(each.ratios.max()))
@@ -146,9 +154,7 @@ def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: f
             worst, before = 0.0, worst
 
 
-def _in_gap(
-    plan: PlanFigures, sequence: SampleSequence, i: int, span: SequenceSpan, level: float
-) -> Iterator[GapRatios]:
+def _in_gap(plan: PlanFigures, sequence: SampleSequence, i: int, span: GridSpan, level: float) -> Iterator[GapRatios]:
     """The same of one gap; where the level is crossed, to the step."""
     oracle = plan.oracle
     goals = oracle.problem.guaranteed

@@ -8,7 +8,6 @@ again no larger than the plan's proof supposes, and as many more as that proof l
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from sampling_design.accuracy.results_out import results_in
 from sampling_design.accuracy.sampled_system import KnownSpan
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import UndecidedError
-from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle
+from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle, GridSpan
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
@@ -43,18 +42,9 @@ FADED = 0.01
 """What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""
 
 
-class SequenceSpan(NamedTuple):
-    """A stretch of a sequence on the grid in which no result comes in: a gap, where all come at once."""
-
-    k: int  # the latest sample of which something is in
-    begin: int  # begin, length: offsets from it that are looked at
-    length: int
-    end: float  # when it is over
-    out: Mask | None = None  # (i, p): what is in of the last samples, of some of which not all is
-
-    def since(self, sequence: SampleSequence, oracle: AccuracyOracle) -> float:
-        """From when on it is looked at."""
-        return float(sequence.times[self.k]) + (self.begin * oracle.problem.step if self.out is not None else 0.0)
+def span_begin(plan: PlanFigures, sequence: SampleSequence, span: GridSpan) -> float:
+    """From when on a stretch of a sequence is looked at."""
+    return float(sequence.times[span.last]) + (span.begin * plan.problem.step if span.arrived is not None else 0.0)
 
 
 def looks_back(plan: PlanFigures) -> int:
@@ -115,7 +105,7 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
     oracle, back = plan.oracle, departs_and_returns(plan, sequence)[1]
     goals, out, count = oracle.problem.guaranteed, longest_out(plan), judged_at_once(plan)
     for i, span in enumerate(spans_of(plan, sequence)):
-        if span.since(sequence, oracle) >= until + out:
+        if span_begin(plan, sequence, span) >= until + out:
             break
         window, last = window_after(oracle, sequence, span)
         for g in goals:
@@ -147,25 +137,25 @@ def judged_at_once(plan: PlanFigures) -> int:
     return plan.samples if plan.problem.result_delay is None else int(plan.chosen.sum())
 
 
-def is_past(plan: PlanFigures, sequence: SampleSequence, span: SequenceSpan, back: int) -> bool:
+def is_past(plan: PlanFigures, sequence: SampleSequence, span: GridSpan, back: int) -> bool:
     """Whether a stretch comes after some sample, and after what was out then."""
     if sequence.result_delay is None:
-        return span.k >= back
-    return back < len(sequence.times) and bool(sequence.times[span.k] >= sequence.times[back] + longest_out(plan))
+        return span.last >= back
+    return back < len(sequence.times) and bool(sequence.times[span.last] >= sequence.times[back] + longest_out(plan))
 
 
-def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[SequenceSpan]:
+def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[GridSpan]:
     """The stretches of a sequence that are judged, on the grid."""
     step, times = plan.problem.step, sequence.times
     if sequence.result_delay is None:
         knots = _knots(plan.oracle, sequence)
         return [
-            SequenceSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), int(knots[k + 1] - knots[k]), times[k + 1])
+            GridSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), int(knots[k + 1] - knots[k]), end=times[k + 1])
             for k, skipped in enumerate(sequence.since - times[:-1])
             if k >= sequence.start
         ]
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=False)
-    first, found, tiny = float(times[0]), list[SequenceSpan](), WHOLE * step
+    first, found, tiny = float(times[0]), list[GridSpan](), WHOLE * step
     for each in results_in(times - first, comes, end=float(times[-1]) - first):
         if each.end + first <= sequence.judged_since + tiny:
             continue
@@ -174,7 +164,7 @@ def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[SequenceSpan]:
         begin = int(np.floor((since - at) / step + WHOLE)) + (since > tiny)  # what comes in at a step is in after it
         length = int(np.floor((each.end - at) / step + WHOLE))
         if begin <= length:
-            found.append(SequenceSpan(k, begin, length, each.end + first, each.arrived))
+            found.append(GridSpan(k, begin, length, each.arrived, each.end + first))
     return found
 
 
@@ -183,7 +173,7 @@ def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Index:
     return np.floor(sequence.times / oracle.problem.step + 0.5).astype(np.intp)  # halves never meet
 
 
-def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: SequenceSpan) -> tuple[GridWindow, int]:
+def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> tuple[GridWindow, int]:
     """The window of what is in during a stretch, and the step of its last sample."""
     knots, measured, begins = _read_by(oracle, sequence, span)
     start, last = oracle.initial_set if begins else None, int(knots[-1])
@@ -195,19 +185,16 @@ def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: Sequenc
     return oracle.windows[key], last
 
 
-def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: SequenceSpan) -> tuple[Index, Mask, bool]:
+def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> tuple[Index, Mask, bool]:
     """Steps of the samples before a stretch, what is in of them, and whether all begins with the first of them.
 
     They reach as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
     """
-    k, first, knots = span.k, min(max(sequence.first - 1, 0), span.k), _knots(oracle, sequence)[: span.k + 1]
+    k, knots = span.last, _knots(oracle, sequence)[: span.last + 1]
+    first = min(max(sequence.first - 1, 0), k)
     planned = int(np.searchsorted(knots, knots[first] - oracle.back))
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - (first - planned), 0))
-    measured = sequence.measured[low : k + 1]
-    if span.out is not None:
-        count = min(len(span.out), len(measured))
-        measured = np.concatenate([measured[: len(measured) - count], span.out[len(span.out) - count :]])
-    return knots[low:], measured, bool(sequence.begins) and low == 0
+    return knots[low:], span.known(sequence.measured[low : k + 1]), bool(sequence.begins) and low == 0
 
 
 def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until: float) -> dict[int, float]:
@@ -220,15 +207,15 @@ def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until:
                 found[k] = max(found.get(k, 0.0), float(ratios.max()))
     goals = oracle.problem.guaranteed
     for span in spans_of(plan, replace(sequence, since=max(sequence.since, since))) if goals else ():
-        begin = span.since(sequence, oracle)
+        begin = span_begin(plan, sequence, span)
         if begin >= until:
             break
-        for k in gaps_of(sequence, span.k, begin, span.end):
+        for k in gaps_of(sequence, span.last, begin, span.end):
             found[k] = max(found.get(k, 0.0), _ratio_in(oracle, sequence, span))
     return found
 
 
-def _ratio_in(oracle: AccuracyOracle, sequence: SampleSequence, span: SequenceSpan) -> float:
+def _ratio_in(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> float:
     """The ratio in a stretch: most of a sequence are those of another, by whole periods later, and solved once."""
     knots, measured, begins = _read_by(oracle, sequence, span)
     phase = int(knots[-1]) % oracle.problem.steps

@@ -122,7 +122,7 @@ def guaranteed_accuracy(
     so that units change nothing; integrals are bounded for all real times by the trapezoidal rule with its proven
     error. Whether finitely many samples determine a row from an unknown start is decided numerically. Intervals
     that are not centred at 0 shift the estimate (`offset`) and leave its half-width as it is; what is bounded on one
-    side only says nothing before there are data. What composite samples will be worth is told by `interval` of readings
+    side only says nothing before there are data. `interval` says what composite samples will be worth, of readings
     that are all zero.
 
     References

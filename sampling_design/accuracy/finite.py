@@ -19,7 +19,7 @@ from sampling_design.accuracy.sampled_system import (
     too_far,
 )
 from sampling_design.accuracy.start import InitialSet
-from sampling_design.accuracy.undetectable import UNSEEN
+from sampling_design.accuracy.undetectable import UNOBSERVABLE
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
@@ -33,7 +33,7 @@ DIFFUSE = 1e6
 NO_ERROR = 1e-9  # half-width given to an entry that is known exactly at the start, in scaled coordinates
 
 BLURRED = 1e-7
-"""Share of its way to which an unseen direction may shrink: what rounding makes of it is then below `UNSEEN` of it."""
+"""Share of its way to which a hidden direction may shrink: what rounding makes of it is then below `UNOBSERVABLE`."""
 
 LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
 """Shares of its diagonal that are added to a covariance that rounding has made indefinite, the first that helps."""
@@ -143,7 +143,7 @@ def determined_at(system: SampledSystem, path: list[int]) -> Array:
 
 
 def _determined(free: Array, observed: list[Array]) -> Array:
-    """Orthonormal columns that span what nothing free and unseen touches.
+    """Orthonormal columns that span what nothing free and unobservable touches.
 
     Raises UndecidedError if something free has decayed so far that rounding hides whether it is seen, or where it
     points.
@@ -155,20 +155,20 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
     norms = np.linalg.norm(rows, axis=0)
     sizes, right = _strengths(rows)
-    open_ = sizes <= UNSEEN * max(1.0, float(sizes[0]))
+    open_ = sizes <= UNOBSERVABLE * max(1.0, float(sizes[0]))
     # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
     alike = _strengths(rows / np.where(norms > 0, norms, 1.0))[0]
-    if np.count_nonzero(alike <= UNSEEN * max(1.0, float(alike[0]))) < np.count_nonzero(open_):
+    if np.count_nonzero(alike <= UNOBSERVABLE * max(1.0, float(alike[0]))) < np.count_nonzero(open_):
         raise _faded()
     if not open_.any():
         return np.eye(n)
-    unseen = right[open_].T
-    open_ends = free @ unseen
-    length, reach = np.linalg.norm(open_ends, axis=0), [float(np.linalg.norm(free[:, v != 0])) for v in unseen.T]
+    unobservable = right[open_].T
+    open_ends = free @ unobservable
+    length, reach = np.linalg.norm(open_ends, axis=0), [float(np.linalg.norm(free[:, v != 0])) for v in unobservable.T]
     if np.any(length <= BLURRED * np.array(reach)):
         raise _faded()
     left, strength, _ = np.linalg.svd(open_ends / length)
-    if strength[-1] <= UNSEEN * strength[0]:
+    if strength[-1] <= UNOBSERVABLE * strength[0]:
         raise _faded()
     return np.asarray(left[:, len(strength) :])
 

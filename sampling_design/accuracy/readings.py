@@ -81,16 +81,16 @@ class CensoredReading(NamedTuple):
 
     @property
     def began(self) -> float | None:
-        """The earliest time that it tells of, where that is not now."""
+        """The earliest time that it says something of, where that is not now."""
         return self.since if self.stamp is None else self.stamp.first
 
     def within(self, start: float, stop: float) -> bool:
-        """Whether all that it tells of, but for now, lies between two times."""
+        """Whether all that it says something of, but for now, lies between two times."""
         return (self.began is None or self.began >= start) and (self.stamp is None or self.stamp.last <= stop)
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """First and last time that it tells of, where that is not one time alone; None where it ends now."""
+        """First and last time that it says something of, where that is not one time alone; None where it ends now."""
         return None if self.stamp is None else (self.stamp.first, self.stamp.last)
 
 
@@ -172,7 +172,7 @@ def at_some_time(
 
 
 def as_typed(found: CensoredReading) -> PartialReading | float:
-    """Return what is told of an output as a user gives it."""
+    """Return what is known of an output as a user gives it."""
     found = found.as_read
     if found.lower == found.upper and found.since is None:
         return found.lower
@@ -191,7 +191,7 @@ def censored_rows(
     inputs: Sequence[tuple[float, Array]],
     feedthrough: float | None = None,
 ) -> tuple[RowReading, ...]:
-    """Return what is told of an output as rows of the state: less D u and the centre of the noise.
+    """Return what is known of an output as rows of the state: less D u and the centre of the noise.
 
     `feedthrough` is D u at t where an input that jumps there enters as it was before; default: as it is from t on.
     """

@@ -41,7 +41,7 @@ def in_turn(maps: Iterable[CovarianceMap]) -> CovarianceMap:
 def strong(period: CovarianceMap, start: Array, share: float) -> Array:
     """Return the limit of repeated periods from any P > 0: that from 0 unless it lets an error grow.
 
-    A mode that grows and that no noise reaches stays unseen from P = 0; a random walk of so small a `share` of what
+    A mode that grows and that no noise reaches stays hidden from P = 0; a random walk of so small a `share` of what
     periods from `start` leave wakes it.
     """
     P = limit(period)

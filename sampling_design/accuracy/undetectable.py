@@ -15,7 +15,7 @@ from sampling_design.records.arrays import Array, Complex, Index
 
 DECAYS = 1e-9  # a mode counts as decaying if it loses more than this share over a period
 ALIAS = 1e-7  # two modes look alike at the samples if e^{(mu - nu) period} is 1 within this
-UNSEEN = 1e-9  # a direction counts as unseen if its samples are below this share of what the strongest direction shows
+UNOBSERVABLE = 1e-9  # a direction counts so if its samples are below this share of what the strongest one shows
 
 HIDDEN = 1e-11
 """A direction of a free start is hidden if rows, each of length one, show less than this of it: what rounding makes of
@@ -103,7 +103,7 @@ def open_modes(A: Array, U: Array) -> tuple[str, ...]:
     found = []
     for value in values:
         left = _invariant(A.T, [value], values)
-        if np.linalg.norm(left.T @ U) > UNSEEN:
+        if np.linalg.norm(left.T @ U) > UNOBSERVABLE:
             found.append(format_eigenvalue(value))
     return tuple(found)
 
@@ -162,7 +162,7 @@ def _hidden(
         rows.append(rows[-1] @ M)
     _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=True)
     sizes = np.pad(sizes, (0, X.shape[1] - sizes.size)) if sizes.size < X.shape[1] else sizes
-    return np.asarray(right.conj().T[:, sizes < UNSEEN * max(1.0, float(sizes[0]))], dtype=np.complex128)
+    return np.asarray(right.conj().T[:, sizes < UNOBSERVABLE * max(1.0, float(sizes[0]))], dtype=np.complex128)
 
 
 def rows_of_start(H: Array, F: Array, offsets: Index, flow: Array) -> Array:

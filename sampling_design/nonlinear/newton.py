@@ -23,7 +23,7 @@ BY_SIGNS = 6  # changes after which interior points say what is active: signs ma
 MOST_INTERIOR = 30  # interior points of a quadratic model
 CLOSER = 0.1  # share of the complementarity that an interior point aims to leave
 NEAREST = 0.995  # share of the way to a bound that a step between interior points goes at most
-COMPLEMENTARY = 1e-9  # share of the complementarity that is left where bounds are told from what is free
+COMPLEMENTARY = 1e-9  # share of the complementarity that is left where bounds are distinguished from what is free
 FALLS = 0.5  # what a step leaves of the residual, at most: beyond it the start was not near
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from casadi import SX, Function
 
 
-WARM_PUSH = 1e-9  # how far a warm start is moved off its bounds: next to nothing, since it came from the interior
+WARM_DISTANCE = 1e-9  # how far a warm start is moved off its bounds: next to nothing, since it came from the interior
 
 APPROXIMATE_MINIMUM_DEGREE = 0
 """How IPOPT's linear solver orders a window: its own choice takes a sixth longer over a solve."""
@@ -106,8 +106,8 @@ class WindowProgram:
                 "mumps_pivot_order": APPROXIMATE_MINIMUM_DEGREE,
             }
             if warm:
-                push_options = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
-                options |= {f"warm_start_{key}": WARM_PUSH for key in push_options}
+                warm_options = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+                options |= {f"warm_start_{key}": WARM_DISTANCE for key in warm_options}
                 options |= {"warm_start_init_point": "yes", "mu_init": WARM_BARRIER}
             quiet = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "ipopt": options}
             self._solvers[warm] = casadi().nlpsol("window", "ipopt", self._problem, quiet)
@@ -218,8 +218,8 @@ class WindowProgram:
                 u, rise, h = par["u"][:, j - 1], par["rise"][:, j - 1], par["h"][j - 1]
                 along = ca.horzcat(z, Z)
                 for k, share in enumerate(self.points):
-                    motion = rate(Z[:, k], w, u + share * rise, par["t"][j - 1] + share * h)
-                    constraints.append(ca.mtimes(along, slopes[:, k]) - h * motion)
+                    slope = rate(Z[:, k], w, u + share * rise, par["t"][j - 1] + share * h)
+                    constraints.append(ca.mtimes(along, slopes[:, k]) - h * slope)
                 limits += [limited(Z[:, k], u + float(self.points[k]) * rise) for k in range(self.degree)]
                 cost += par["w"][j - 1] * ca.bilin(Qw, w, w)
                 z = Z[:, self.degree - 1]

@@ -72,7 +72,7 @@ def lifted_trajectories(
 ) -> list[HiddenTrajectory]:
     """The trajectories of a coarser grid, where `discrete` is the plant, on the grid of an oracle.
 
-    Flown over its steps, with what all of these would show. Of a tangent: the one that touches at the same samples.
+    Simulated over its steps, with what all of these would show. Of a tangent: the one that touches at the same samples.
     """
     found, steps = [], oracle.problem.steps
     for trajectory in trajectories:

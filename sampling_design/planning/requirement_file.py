@@ -77,7 +77,7 @@ def read_plan_requirement(path: str | os.PathLike[str]) -> PlanRequirement:
     Parameters
     ----------
     path : path
-        The format is told by the ending.
+        The ending says which format.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def write_plan_requirement(requirement: PlanRequirement, path: str | os.PathLike
     Parameters
     ----------
     path : path
-        The format is told by the ending.
+        The ending says which format.
 
     Returns
     -------

@@ -239,7 +239,7 @@ def gaps_of(sequence: SampleSequence, k: int, begin: float, end: float) -> range
 def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None = None) -> float:
     """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1.
 
-    Of standard deviations, by the filter run through the sequence, by as much more as it ends with. `gaps` is told the
+    Of standard deviations, by the filter run through the sequence, by as much more as it ends with. `gaps` gets the
     ratio in each gap, and of all that follows the sequence as that of its last sample; then nothing stops it.
     """
     deviation = 0.0

@@ -294,9 +294,9 @@ def next_sample(
     again soonest, and of equally soon ones the plan's own. *The naive trigger*, which
     waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
     overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
-    sample may push out one of the plan's. *Assumptions.* The bounds, and later samples, and those before the record, up
-    to the plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it says.
-    Results come by their `result_delay`: what is awaited counts from then on, and what is in counts now.
+    sample may take the place of one of the plan's. *Assumptions.* The bounds, and later samples, and those before the
+    record, up to the plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it
+    says. Results come by their `result_delay`: what is awaited counts from then on, and what is in counts now.
     Values play no part: it holds whatever is read.
 
     References

@@ -20,7 +20,7 @@ IsUnobservable = Callable[[Array, float, int], bool]
 MOST_CELLS = 100_000  # cells after which a search without a budget ends as well
 TOGETHER = 512  # cells judged in one batch
 UNOBSERVABLE = 1e-8
-"""What this share of the outputs shows at most, in balanced coordinates, counts as unseen where a descent ends."""
+"""What this share of the outputs shows at most, in balanced coordinates, counts as unobserved where a descent ends."""
 DESCENTS = 3  # rounds between two descents
 STEPS = 400
 BALL_ROOM = 1.001

@@ -109,7 +109,7 @@ def grid(top: float, ends: list[float], count: int) -> Array:
 
 
 INFLATED = (0.002, 0.02, 0.1)
-"""Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
+"""Share by which sampled members are moved outwards, so that cells of the region need not be tiny."""
 HULL_CORNERS, HALVINGS = 10, 3
 """Directions of a set that holds all C whose corners are members; halvings of a stiff plant's region into cells."""
 SKEWED = 1e12  # condition, of rows of length 1, from which on a root of the nominal information is no basis

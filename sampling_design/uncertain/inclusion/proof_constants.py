@@ -272,14 +272,14 @@ def linear_constants(bound: WindowBound, L: float, eta: float, b: float) -> tupl
     growth, overlap = float(np.exp((L + eta / 2) * t_star)), 2 * float(np.exp(1.5 * eta * t_star))
     share = c * T / (b * (1 - half)) * SAFE
     alpha_w, alpha_y = share * g * (half + float(np.sqrt(beta * gamma))), share * float(np.sqrt(beta))
-    pushed = float(np.sqrt(gamma)) * SAFE
+    forced = float(np.sqrt(gamma)) * SAFE
     source = "Remark 15, rate eta/2"
     return (
         Constant("linear_alpha_w", alpha_w, r"cTg(\sqrt{q/2}+\sqrt{\beta\gamma})/(b(1-\sqrt{q/2}))", source),
         Constant("linear_alpha_y", alpha_y, r"cT\sqrt\beta/(b(1-\sqrt{q/2}))", source),
-        Constant("linear_x", pushed * growth, r"\sqrt\gamma e^{(L_f+\eta/2)t^*}\quad(\times|\Delta\chi|_W)", source),
+        Constant("linear_x", forced * growth, r"\sqrt\gamma e^{(L_f+\eta/2)t^*}\quad(\times|\Delta\chi|_W)", source),
         Constant(
-            "linear_w", pushed * g * (1 + growth) + overlap * alpha_w,
+            "linear_w", forced * g * (1 + growth) + overlap * alpha_w,
             r"\sqrt\gamma g(1+e^{(L_f+\eta/2)t^*})+2e^{3\eta t^*/2}\alpha_w", source,
         ),
         Constant("linear_y", overlap * alpha_y, r"2e^{3\eta t^*/2}\alpha_y", source),

@@ -102,7 +102,7 @@ def fitted(
 
 
 def drawn(search: InclusionPlants, posed: InclusionData, share: float) -> InclusionData:
-    """Members drawn to their mean by a share, and pushed outwards by the search's inflation."""
+    """Members drawn to their mean by a share, and moved outwards by the search's inflation."""
     if search.hull is not None and share == 1:  # whose directions are inflated instead
         return posed
     middle = posed.dynamics.mean(axis=0)
@@ -306,7 +306,7 @@ class InclusionSearch(InclusionPlants):
         precisions: tuple[int, ...],
         proofs: int,
     ) -> Attempt:
-        """The same for the members as they are, pushed outwards by these shares; at most so many proofs of each."""
+        """The same for the members as they are, moved outwards by these shares; at most so many proofs of each."""
         verdict: Verification | None = None
         for inflation in inflated:
             self.inflation = inflation

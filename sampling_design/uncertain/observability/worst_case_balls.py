@@ -48,7 +48,7 @@ SigmaOfOne = Callable[[Plant, float, float], WorstCaseSigma]
 """Sigma of a plant, to a tolerance, in so many seconds."""
 
 MOST_CORNERS = 4  # parameters up to which cells are judged by their corners
-WIDE = 10.0  # units this far apart, in balanced coordinates, are told by what sigma is there
+WIDE = 10.0  # units this far apart, in balanced coordinates, are judged by what sigma is there
 FINER = 0.25  # share of the tolerance that the bracket of each single plant may take
 
 

@@ -20,9 +20,9 @@ from sampling_design.uncertain.box.model import BoxModel, at_parameters
 from sampling_design.uncertain.observability.window_balls import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-SLOWEST = 1e-3  # frequencies below this share of |A| are not told from none: the count is taken with this much more
+SLOWEST = 1e-3  # frequencies below this share of |A| count as none: the count is taken with this much more
 CLOSE = 1e-3  # relative width of a bracket of frequencies
-UNOBSERVABLE = 1e-12  # what is below this share of the outputs counts as unseen: short windows see slow modes little
+UNOBSERVABLE = 1e-12  # what is below this share of the outputs counts so: short windows see slow modes little
 SECONDS = 60.0  # of each bracket, which the count needs only to the next whole number
 
 

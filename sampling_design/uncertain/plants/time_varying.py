@@ -24,7 +24,7 @@ from sampling_design.records.units import check_time_unit
 
 TERMS = 22  # of each Taylor series
 LENGTH = 0.5  # |A| times a step at most
-MOST_STEPS = 200_000  # over one gap; what asks for more is no motion that doubles could follow
+MOST_STEPS = 200_000  # over one gap; what asks for more cannot be followed in doubles
 EPS = float(np.finfo(float).eps)
 
 
@@ -276,7 +276,7 @@ class TimeVaryingPlant(Record):
         return bool(np.any(self.states.scales != 1) or np.any(self.outputs.scales != 1))
 
     def at(self, t: float) -> Plant:
-        """The plant that stands still as this one is at time t: names, units and sizes, and no motion."""
+        """The plant that stands still as this one is at time t: with its names, units and sizes."""
         A, C = (np.asarray(part(t), dtype=float) for part in (self.A, self.C))
         G = np.zeros((self.n_states, 0)) if self.G is None else np.asarray(self.G(t), dtype=float)
         return Plant(A, C, G=G, time_unit=self.time_unit, states=self.states, outputs=self.outputs,

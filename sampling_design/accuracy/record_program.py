@@ -95,16 +95,6 @@ def _units(readings: Readings, lengths: Array) -> Array:
     return np.where(exact, moved, np.where(readings.below, 1.0, readings.size))
 
 
-@dataclass(frozen=True, eq=False)
-class GainCost:
-    """What gains cost: 0 <= residuals + start + w + v for the row 0; `fixed` is in units of no bound."""
-
-    residuals: float
-    start: float
-    w: float
-    v: float
-
-
 class RecordProgram:
     """The program of one record, posed once; every row and both its ends are solves of it.
 
@@ -440,27 +430,30 @@ class RecordProgram:
 
     def _upper(self, t: float, row: Array, gains: Array) -> RowEnd:
         c, added = self._ahead(t, row)
-        spent = self.budget(c, gains)
+        residuals, start, w, v = self.costs(c, gains)
         nominal = self.readings.nominal_at(t)
-        value = float(row @ nominal) + spent.residuals
-        width = (added + spent.start + spent.w + spent.v) * (1 + ROUNDING)
+        value = float(row @ nominal) + residuals
+        width = (added + start + w + v) * (1 + ROUNDING)
         read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         end = value + width + HELD * float(terms)
-        return RowEnd(end if np.isfinite(end) else np.inf, spent.residuals + width, width, gains)
+        return RowEnd(end if np.isfinite(end) else np.inf, residuals + width, width, gains)
 
-    def budget(self, c: Array, gains: Array) -> GainCost:
-        """Return what gains cost for a target (n,) in D coordinates at the last time."""
+    def costs(self, c: Array, gains: Array) -> tuple[float, float, float, float]:
+        """Return what gains cost for a target (n,) in D coordinates at the last time: residuals, start, w and v.
+
+        Residuals are in units of no bound: 0 <= residuals + start + w + v for the row 0.
+        """
         read = self.readings
         costates, rest = self._costates(c, gains)
         w = self._quadrature.integral(costates, read.disturbance.ball) if len(costates) else 0.0
         if np.any(gains[read.below] < 0):
-            return GainCost(0.0, np.inf, w, 0.0)
+            return 0.0, np.inf, w, 0.0
         if read.start.unbounded:
             start = 0.0 if self._closed(c, gains, rest) else np.inf
         else:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
-        return GainCost(float(gains @ read.residuals), start, w, self._noise(gains))
+        return float(gains @ read.residuals), start, w, self._noise(gains)
 
     def _noise(self, gains: Array) -> float:
         read = self.readings
@@ -489,12 +482,12 @@ class RecordProgram:
 
     def growth(self, which: str, gains: Array) -> float:
         """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it."""
-        spent = self.budget(np.zeros(len(self.table.D)), gains)
-        fixed = {"all": 0.0, "w": spent.start + spent.v, "v": spent.start + spent.w}[which]
-        grown = {"all": spent.start + spent.w + spent.v, "w": spent.w, "v": spent.v}[which]
+        residuals, start, w, v = self.costs(np.zeros(len(self.table.D)), gains)
+        fixed = {"all": 0.0, "w": start + v, "v": start + w}[which]
+        grown = {"all": start + w + v, "w": w, "v": v}[which]
         read = self.readings
         error = HELD * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
-        needed = -spent.residuals - fixed * (1 + ROUNDING) - error
+        needed = -residuals - fixed * (1 + ROUNDING) - error
         if needed <= 0:
             return 0.0
         return needed / (grown * (1 + ROUNDING)) if grown > 0 else np.inf

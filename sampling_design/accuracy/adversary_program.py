@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sampled_system import SampledSystem
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram, StageSolution

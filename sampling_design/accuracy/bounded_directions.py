@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import NOTHING
 from sampling_design.accuracy.gains import Gains
-from sampling_design.accuracy.start import NOTHING
 from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-12  # two directions are one if their cosine, in units of the reach, is 1 within this

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.gains import filtered_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sampled_system import (
@@ -18,7 +18,6 @@ from sampling_design.accuracy.sampled_system import (
     refuse_growth,
     too_far,
 )
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.undetectable import UNOBSERVABLE
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import information_update, propagate, update_with_gain

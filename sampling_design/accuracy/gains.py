@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, noise_cost
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.between_samples import open_row
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import in_turn, strong
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.witness import attains, physical
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import CovarianceMap, information_update, propagate

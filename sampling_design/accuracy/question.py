@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.bounds import Bound, NoiseBound, SignalBounds
+from sampling_design.accuracy.bounds import Bound, InitialError, InitialSet, NoiseBound, SignalBounds
 from sampling_design.accuracy.finite import finite_directions, finite_system
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sampled_system import SampledSystem, periodic_system
-from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.accuracy.undetectable import DetectablePart, known_part
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_record import Accuracy
+from sampling_design.accuracy.bounds import InitialError, InitialSet
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
-from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.plant import Plant

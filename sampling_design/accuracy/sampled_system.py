@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.unknown_start import FreeResponses
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, covariance_root, information_update, update_with_gain

@@ -11,9 +11,9 @@ import numpy as np
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, boxed
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 

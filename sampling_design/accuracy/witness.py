@@ -10,10 +10,9 @@ import numpy as np
 
 from sampling_design.accuracy.adversary_program import Adversary
 from sampling_design.accuracy.between_samples import RowBetweenSamples
-from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch, RowSearch
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.unknown_start import FreeResponses
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy.typing as npt
 
-from sampling_design.accuracy.start import InitialError
+from sampling_design.accuracy.bounds import InitialError
 from sampling_design.checkers.strict import is_table
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import MissingExtraError

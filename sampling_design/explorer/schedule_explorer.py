@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
-from sampling_design.accuracy.start import InitialError
+from sampling_design.accuracy.bounds import InitialError
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.existence.periodic import certificate_exists, judged

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.finite import NO_ERROR
 from sampling_design.accuracy.results_out import ResultsIn, results_in
 from sampling_design.accuracy.sampled_system import GapDynamics
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, extended, in_stages
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.filter_deviation import GridFilter

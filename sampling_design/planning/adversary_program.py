@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sampling_design.accuracy.start import InitialSet
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.accuracy.start import InitialSet
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.requirement import KINDS, PlanRequirement

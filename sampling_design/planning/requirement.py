@@ -7,7 +7,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy.typing as npt
 
-from sampling_design.accuracy.start import InitialError
+from sampling_design.accuracy.bounds import InitialError
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks

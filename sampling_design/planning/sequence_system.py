@@ -11,6 +11,7 @@ import numpy as np
 
 from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, coordinate_root, finite_directions, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out
@@ -23,7 +24,6 @@ from sampling_design.accuracy.sampled_system import (
     refuse_growth,
 )
 from sampling_design.accuracy.search import GainSearch, combined_gains
-from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
 from sampling_design.errors import NotDetectableError, UndecidedError

@@ -141,7 +141,7 @@ def test_a_bound_of_what_is_known_nowhere_does_not_verify():
 def test_a_forged_start_does_not_verify():
     found = sd.guaranteed_accuracy(PLANT, SCHEDULE, w_bound=0.02, v_bound=0.1, initial_error=[0.3, 0.2])
     assert found.verify()
-    narrower = sd.accuracy.start.InitialSet.of(PLANT, [0.03, 0.02])
+    narrower = sd.accuracy.bounds.InitialSet.of(PLANT, [0.03, 0.02])
     forged = replace(found, question=replace(found.question, initial=narrower))
     assert not forged.verify()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy.start import InitialSet
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.planning import sequence as sequences
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import discretize

@@ -10,8 +10,7 @@ import numpy as np
 
 from sampling_design.accuracy.accuracy import RTOL
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
-from sampling_design.accuracy.bounds import Bound, SignalBounds
-from sampling_design.accuracy.start import InitialError, InitialSet
+from sampling_design.accuracy.bounds import Bound, InitialError, InitialSet, SignalBounds
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows, row_arguments

@@ -125,7 +125,7 @@ def _system_with_noise(
         if not sequence.late:
             return system, directions
         work.add(SYSTEM, upto * n**2)
-        times = TimesOfSamples(plan, part, GainSearch(system, directions, lambda: work.add(GAINS, FEWEST * n)))
+        times = TimingEffects(plan, part, GainSearch(system, directions, lambda: work.add(GAINS, FEWEST * n)))
         found[:upto] = times.added(noise[:upto], usual[:upto], found[:upto], since)
         if not np.isfinite(found).all():
             break
@@ -167,7 +167,7 @@ def _usual_noise(plan: PlanFigures, sequence: SampleSequence) -> Array:
     return noise
 
 
-class TimesOfSamples:
+class TimingEffects:
     """What the times of a sequence's samples add at most to what they read: C (x(t + e) - x(t)), and w in between."""
 
     def __init__(self, plan: PlanFigures, sequence: SampleSequence, search: GainSearch):

@@ -25,7 +25,7 @@ def driven(plant: Plant) -> Plant:
 
 
 @dataclass(frozen=True, eq=False)
-class TrueRun:
+class SimulatedRun:
     """A run's true states (T+1, n), outputs (N, p) with NaN where not measured, and inputs (N+1, n), from 0 and each
     sample on (None where the plant needs none). The prior is 0: the truth starts at minus the initial error."""
 
@@ -38,14 +38,14 @@ class EstimatedRun(NamedTuple):
     """Estimates at every row of a map, and the truth beside them."""
 
     estimates: tuple[Estimate, ...]
-    truth: TrueRun
+    truth: SimulatedRun
 
     def errors(self, rows: ErrorRows) -> Array:
         """Errors at the rows, (R, n)."""
         return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
 
 
-def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: bool = True) -> TrueRun:
+def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: bool = True) -> SimulatedRun:
     """Simulate the truth of one run of `inputs`, exactly; an unstable one that is `steered` is brought back to zero at
     each sample."""
     plant = line.plant
@@ -70,10 +70,10 @@ def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: boo
         if b in marks:
             applied.append(u)
     first = 1 if line.samples[0] > 0 else 0
-    return TrueRun(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
+    return SimulatedRun(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
 
 
-def real_run(line: Timeline, rows: ErrorRows, truth: TrueRun, estimator: Estimator) -> EstimatedRun:
+def real_run(line: Timeline, rows: ErrorRows, truth: SimulatedRun, estimator: Estimator) -> EstimatedRun:
     """Feed a truth's outputs to an estimator and ask it at every row."""
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:
@@ -91,7 +91,7 @@ def real_run(line: Timeline, rows: ErrorRows, truth: TrueRun, estimator: Estimat
     return EstimatedRun(tuple(found), truth)
 
 
-def extent(truth: TrueRun, room: float = 0.0) -> tuple[Array, Array]:
+def extent(truth: SimulatedRun, room: float = 0.0) -> tuple[Array, Array]:
     """Return a box that holds the truth at every break point and the prior 0, wider by `room` times its size."""
     low = np.minimum(truth.states.min(axis=0), 0.0)
     high = np.maximum(truth.states.max(axis=0), 0.0)

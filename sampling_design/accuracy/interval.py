@@ -238,10 +238,9 @@ class Interval(TableRecord, PlainRecord):
         lower, upper = _ends(found.ends)
         disproof, scales = None, freeze(found.scales)
         if found.factors is not None:
-            nothing = np.inf, np.zeros(found.gains.shape[2])
-            stated = {which: found.factors.get(which, nothing) for which in WHICH_BOUNDS}
-            factors = {which: factor for which, (factor, _) in stated.items()}
-            disproof = Disproof(readings, factors, {which: freeze(own) for which, (_, own) in stated.items()}, scales)
+            factors = {which: factor for which, (factor, _) in found.factors.items()}
+            gains = {which: freeze(own) for which, (_, own) in found.factors.items()}
+            disproof = Disproof(readings, factors, gains, scales)
             lower = upper = freeze(np.full(len(rows), np.nan))
         return cls(readings, found.t, rows, lower, upper, freeze(found.gains), scales, disproof=disproof)
 
@@ -257,8 +256,7 @@ class Interval(TableRecord, PlainRecord):
                 upper[k] = up.value + interval_file.STATED * up.width
                 lower[k] = -down.value - interval_file.STATED * down.width
         else:  # worked out again, as the ends are: what was read from a file is written as it stood there
-            known = {which: factor for which, factor in found.factors.items() if not np.isfinite(factor)}
-            proof = {which: program.growth(which, own) for which, own in found.gains.items()} | known, found.gains
+            proof = {which: program.growth(which, own) for which, own in found.gains.items()}, found.gains
         return interval_file.tree_of(readings, self.t, self.rows, (lower, upper), self.gains, self.scales, proof)
 
     def verify(self, rigorous: bool = False) -> bool:

@@ -1,5 +1,6 @@
 """What a file of claim "interval" holds: what was read, the bounds, and gains that prove the ends of rows."""
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -50,7 +51,8 @@ TimedReadings = tuple[float, list[Reading], str]
 
 @dataclass(frozen=True)
 class OfInterval:
-    """Rows of x(t) with their ends (None: not bounded) and gains (r, 2, R), or a contradiction's factors and gains.
+    """Rows of x(t) with their ends (None: not bounded) and gains (r, 2, R), or a contradiction's factors (infinite: no
+    factor suffices) and gains.
 
     x(times[0]) = centre + root a (anything without a root) and w = w_centre + w_root a, where |a| <= 1 in the
     Euclidean norm (`ball`) or entry by entry; u from `inputs`, each from its time on.
@@ -109,11 +111,10 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     if read["disproof"] is not None:
         found = read["disproof"]
         need(all(len(g) == R for g in found["gains"].values()), "disproof.gains", f"must have {R} numbers each")
-        need(found["factors"]["all"] is not None, "disproof.factors.all", "must be a number")
         nothing = all(end is None for end in (*read["lower"], *read["upper"]))
         need(nothing, "lower", "must be null where the data contradict the bounds")
-        stated = {key: value for key, value in found["factors"].items() if value is not None}
-        factors = {key: (float(value), np.array(found["gains"][key])) for key, value in stated.items()}
+        stated = {key: math.inf if value is None else float(value) for key, value in found["factors"].items()}
+        factors = {key: (value, np.array(found["gains"][key])) for key, value in stated.items()}
     return OfInterval(
         plant=plant,
         B=B,

@@ -104,12 +104,15 @@ def contradiction(c: OfInterval, backward: "BackwardRecursion") -> float:
         if not np.isfinite(fixed + grown + readings):
             raise Undecided(INEQUALITY, f"the factor of {name} could not be decided: its start is not closed")
         needed = -readings - fixed
-        if not needed >= stated * grown * LOOSE:
+        most = (
+            stated * grown * LOOSE if grown > 0 and stated > 0 else 0.0
+        )  # where the bound is 0, any factor leaves it so
+        if stated > 0 and not (needed > 0 and needed >= most):  # what is not above 0 contradicts nothing
             sentence = f"the gains do not prove that {name} must grow by the factor {stated:.6g}"
-            raise (Refused if needed < stated * grown * 0.99 else Undecided)(INEQUALITY, sentence)
+            raise (Refused if needed < most * 0.99 else Undecided)(INEQUALITY, sentence)
         if name == "all" and not stated > 1:
             raise Refused(INEQUALITY, "a factor of at most 1 is no contradiction")
-        slack = min(slack, float(needed / (stated * grown) - 1) if grown > 0 and stated > 0 else 1.0)
+        slack = min(slack, float(needed / most) - 1 if most > 0 else 1.0)
     return slack if math.isfinite(slack) else 1.0
 
 

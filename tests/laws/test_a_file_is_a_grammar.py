@@ -312,7 +312,7 @@ def test_a_changed_certificate_is_refused_or_true(kind, tmp_path):
     assert found["judged"] > 0
 
 
-def sweep_intervals(folder, most=MOST, seed=0):
+def sweep_intervals(folder, v_bound=0.3, most=MOST, seed=0):
     """The same for an interval; what is proven is evaluated once more by what shares no line with the checker."""
     record = [
         (0.0, [1.0], [0.5]),
@@ -321,7 +321,7 @@ def sweep_intervals(folder, most=MOST, seed=0):
         (2.5, [0.0], None),
     ]
     plant = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], B=[[0.0], [1.0]])
-    path = state_interval(plant, record, w_bound=0.1, v_bound=0.3, initial_error=[2.0, 2.0]).save(
+    path = state_interval(plant, record, w_bound=0.1, v_bound=v_bound, initial_error=[2.0, 2.0]).save(
         Path(folder) / "i.json"
     )
     whole, found = json.loads(path.read_text()), {}
@@ -335,7 +335,10 @@ def sweep_intervals(folder, most=MOST, seed=0):
         again = read(Interval.read, path)
         assert verdict != ("proven" if again is None else "bad file"), label
         found[verdict] = found.get(verdict, 0) + 1
-        if verdict == "proven" and again.disproof is None:
+        if verdict == "proven" and again.disproof is not None:
+            least = {which: (1 - 1e-4) * factor for which, factor in again.disproof.factors.items()}
+            assert replace(again.disproof, factors=least).verify(), label
+        elif verdict == "proven":
             wide = replace(again, lower=again.lower - 1e-4 * again.radii, upper=again.upper + 1e-4 * again.radii)
             assert wide.verify(), label
     return found
@@ -350,6 +353,30 @@ def test_what_was_read_of_an_interval_is_written_as_it_stood(v_bound, tmp_path):
     assert Interval.read(first).save(tmp_path / "again.json").read_text() == first.read_text()
 
 
-def test_a_changed_interval_is_refused_or_true(tmp_path):
-    found = sweep_intervals(tmp_path)
+@pytest.mark.parametrize("v_bound", [0.3, 1e-9])
+def test_a_changed_interval_is_refused_or_true(v_bound, tmp_path):
+    found = sweep_intervals(tmp_path, v_bound)
     assert min(found.get(how, 0) for how in ("bad file", "refuted", "proven")) > 0
+
+
+@pytest.mark.parametrize("factor", [100.0, None])
+@pytest.mark.parametrize("which", ["all", "w", "v"])
+def test_gains_of_zero_contradict_nothing(which, factor):
+    """They spend none of any bound and gain nothing: 0 >= 100 times 0 is no contradiction of data that fit."""
+    found = state_interval(OSCILLATOR, [(0.5, [0.1], None)], w_bound=0.1, v_bound=0.3, initial_error=2.0)
+    forged = found._sealed() | {"lower": [None, None], "upper": [None, None]}
+    factors = dict.fromkeys(("all", "w", "v"), 0.0) | {"all": 1.0 + 1e-9, which: factor}
+    forged["disproof"] = {"factors": factors, "gains": {key: [0.0] for key in factors}}
+    assert checked(json.dumps(forged | {"digest": with_digest(forged)}))["verdict"] == "undecided"
+
+
+@pytest.mark.parametrize("bounds", [(0.0, 0.0, 0.0), (0.0, 0.01, 0.01), (0.01, 0.0, 0.01)])
+def test_a_bound_of_zero_never_suffices_however_often_it_is_taken(bounds, tmp_path):
+    record = [(0.5, [0.1], None), (1.3, [9.2], None), (1.5, [-90.0], None)]
+    given = dict(zip(("w_bound", "v_bound", "initial_error"), bounds, strict=True))
+    path = state_interval(OSCILLATOR, record, **given).save(tmp_path / "i.json")
+    again = Interval.read(path)
+    assert again.disproof.factors["v" if bounds[0] else "w"] == np.inf
+    assert again.verify()
+    assert again.verify(rigorous=True)
+    assert again.save(tmp_path / "again.json").read_text() == path.read_text()

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from functools import singledispatch
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast, dataclass_transform
 
@@ -153,6 +154,17 @@ def short(value: object, digits: int = 6) -> str:
     flat = numbers.ravel()
     listed = ", ".join(f"{v:.{digits}g}" for v in flat[:SHOWN])
     return f"[{listed}{', ...' if flat.size > SHOWN else ''}]"
+
+
+def probability(value: float, digits: int = 6, up: bool = False) -> str:
+    """A probability as text that never says more than is so: rounded down, or up where it is an upper bound.
+
+    Of one near 1 as many digits as leave two of what is missing: 1 is said of what is certain only.
+    """
+    missing = 1.0 - value
+    digits = min(2 - math.floor(math.log10(missing)), 17) if 0 < missing < 10.0**-digits else digits
+    context = Context(prec=digits, rounding=ROUND_CEILING if up else ROUND_FLOOR)
+    return short(float(context.create_decimal(value)), digits)
 
 
 def moment(value: object, beside: npt.ArrayLike = ()) -> str:

@@ -28,6 +28,7 @@ from sampling_design.records import checks
 from sampling_design.records.declarations import Column, columns, said, selected
 from sampling_design.records.declarations import Plain as Plain
 from sampling_design.records.declarations import moment as moment
+from sampling_design.records.declarations import probability as probability
 from sampling_design.records.declarations import short as short
 from sampling_design.records.dispatch import offered
 from sampling_design.records.signatures import checked_methods, misfit, within

@@ -210,7 +210,7 @@ def test_what_it_says(spiral):
 
 def test_what_is_nearly_certain_is_not_called_certain(spiral):
     found = random_arrivals(spiral, 0.05)
-    for least, said, word in ((1 - 1e-9, "0.999999", "0.9999"), (1.0, "1", "1"), (0.25, "0.25", "0.25")):
+    for least, said, word in ((1 - 1e-9, "0.999999999", "0.999999999"), (1.0, "1", "1"), (0.25, "0.25", "0.25")):
         nearly = dataclasses.replace(found, probability=np.full_like(found.probability, least))
         assert f"at least {said}, and" in str(nearly.claim)
         assert f"with probability {said} to" in repr(nearly) + str(nearly)

@@ -1,5 +1,6 @@
 """Law: the covariance of a filter that loses samples by chance has the tails that `loss_tolerance` proves."""
 
+import re
 from itertools import combinations
 
 import numpy as np
@@ -99,6 +100,25 @@ def test_without_growth_any_loss_is_borne():
     assert "No mode grows" in found.explain()
     assert loss_tolerance(Plant([[-1.0]], [[1.0]]), PeriodicSchedule([1.0])).lower == 1
     assert set(found.to_dict()) >= {"lower", "upper", "limit", "hidden_times", "claim"}
+
+
+@pytest.mark.parametrize("frequency", [1e3, 1e7, 1e10])
+def test_what_oscillates_fast_hides_no_growth_beside_it(frequency):
+    A = np.zeros((3, 3))
+    A[0, 0], A[1, 2], A[2, 1] = 0.1, frequency, -frequency
+    found = loss_tolerance(Plant(A, [[1.0, 1.0, 0.0]]), PeriodicSchedule([0.3, 0.7, 0.45]))
+    assert found.growth == pytest.approx(0.1)
+    assert found.lower <= found.limit == pytest.approx(np.exp(-2 * 0.1 * 1.45 / 3))
+
+
+@pytest.mark.parametrize("growth", [1e-6, 1e-8, 1e-12])
+def test_certain_is_said_of_no_probability_below_1(growth):
+    found = loss_tolerance(Plant([[growth]], [[1.0]]), PeriodicSchedule([0.3, 0.7, 0.45]))
+    assert found.lower < 1
+    for text in (found.explain(), repr(found), found.claim.statement):
+        numbers = re.findall(r"(?:below|from) (\d[\d.]*)", text)
+        assert numbers
+        assert all(float(number.rstrip(".")) < 1 for number in numbers)
 
 
 def test_an_output_that_is_measured_seldom_is_hidden_more_often():

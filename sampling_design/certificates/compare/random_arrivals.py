@@ -7,7 +7,6 @@ Each sample of a schedule is lost with the same probability, or samples come as 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import ROUND_FLOOR, Context
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, probability, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 
@@ -86,8 +85,8 @@ class RandomArrivals(PlainRecord):
     def claim(self) -> Claim:
         """What is bounded, and what it assumes."""
         return Claim(
-            f"a window contracts with a probability of at least {_below(self.contracts[0])}, and the expected squared "
-            f"error by a factor of at most {short(self.mean_factor[1])}",
+            f"a window contracts with a probability of at least {probability(self.contracts[0])}, and the expected squared "
+            f"error by a factor of at most {probability(self.mean_factor[1], up=True)}",
             "expected contraction under random arrivals",
             (
                 "arrivals are independent, of each other and of the noise",
@@ -98,21 +97,25 @@ class RandomArrivals(PlainRecord):
 
     @property
     def _least(self) -> str:
-        return _below(self.contracts[0])
+        return probability(self.contracts[0])
+
+    @property
+    def _most(self) -> str:
+        return probability(self.contracts[1], up=True)
 
     @property
     def process(self) -> str:
         """How samples arrive, in words."""
         p, unit = self.loss_probability, self.time_unit
         if self.arrival_rate is None:
-            return f"each sample is lost with probability {short(p)}"
-        lost = f", each of which is lost with probability {short(p)}" if p else ""
+            return f"each sample is lost with probability {probability(p)}"
+        lost = f", each of which is lost with probability {probability(p)}" if p else ""
         return f"samples come as a Poisson process, {short(self.arrival_rate)} per {unit}{lost}"
 
     _answers = (
         "windows of {length} {time_unit} where {process}",
         "{claim.evidence}",
-        "a window contracts with probability {_least} to {contracts[1]}",
+        "a window contracts with probability {_least} to {_most}",
         "draw arrivals and count the windows that contract",
     )
     _table = {
@@ -124,12 +127,14 @@ class RandomArrivals(PlainRecord):
     def explain(self) -> str:
         """Say how likely the promise holds, and whether the error stays bounded on average."""
         unit, (lower, upper) = self.time_unit, self.contracts
-        likely = _below(lower, 4) if upper - lower <= 1e-4 * upper else f"{_below(lower, 4)} to {short(upper, 4)}"
+        likely, most = probability(lower, 4), probability(upper, 4, up=True)
+        likely = likely if upper - lower <= 1e-4 * upper else f"{likely} to {most}"
         words = f"If {self.process}, a window of {short(self.length)} {unit} still contracts with probability {likely}."
         if self.rate is not None:
+            factor = probability(self.mean_factor[1], up=True)
             return (
-                f"{words} On average the squared error shrinks at least by the factor {short(self.mean_factor[1])} a "
-                f"window, at the rate {short(self.rate)} per {unit}."
+                f"{words} On average the squared error shrinks at least by the factor {factor} a window, "
+                f"at the rate {short(self.rate)} per {unit}."
             )
         if self.mean_factor[0] >= 1:
             return f"{words} On average the bound on the squared error does not shrink."
@@ -221,11 +226,6 @@ def random_arrivals(
         loss_probability=p, arrival_rate=arrival_rate, length=M, samples=samples, ends=ends, probability=probability,
         factor=factor, time_unit=c.plant.time_unit,
     )  # fmt: skip
-
-
-def _below(probability: float, digits: int = 6) -> str:
-    """A probability as text of so many digits that never says more: 1 is said of what is certain only."""
-    return short(float(Context(prec=digits, rounding=ROUND_FLOOR).create_decimal(probability)), digits)
 
 
 def _periods(asked: float, period: float, count: int, default: bool) -> int:

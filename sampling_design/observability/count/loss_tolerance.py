@@ -15,14 +15,14 @@ from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, counted, moment, short
+from sampling_design.records.record import PlainRecord, counted, moment, probability
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 NEARLY_HIDDEN = 1e-9  # a row that shows less of a direction than this share of its own length does not observe it
 LOOKS = 20_000  # sets of samples that are looked at in one search for the largest hidden one
 MOST_PERIODS = 8  # periods over which hidden sets are counted exactly; beyond, the zero count bounds them
-SAME_GROWTH = 1e-8  # modes whose growth differs by less than this share of |lambda| grow alike
+SAME_GROWTH = 1e-8  # modes whose growth differs by less than this share of it, or by rounding, grow alike
 
 MOST_GROWTH = 30.0
 """Logarithm of the growth within the periods that are counted exactly: beyond, doubles show one mode only."""
@@ -70,15 +70,24 @@ class LossTolerance(PlainRecord):
     _answers = (
         "how often samples of a periodic schedule may be lost at random",
         "{claim.evidence}",
-        "the expected squared error stays bounded below {lower}, and grows without bound from {upper} on",
+        "the expected squared error stays bounded below {_lower}, and grows without bound from {_upper} on",
         "{_checked}",
     )
     _table = {
-        "any schedule as dense": "below {limit}",
+        "any schedule as dense": "below {_limit}",
         "growth": "{growth} 1/{time_unit}",
         "samples": "{density} per {time_unit}",
         "hidden together": "{_hidden}",
     }
+
+    def _lower(self) -> str:
+        return probability(self.lower)
+
+    def _upper(self) -> str:
+        return probability(self.upper, up=True)
+
+    def _limit(self) -> str:
+        return probability(self.limit, up=True)
 
     def _checked(self) -> str:
         where = "`zero_count_bound` says how many samples can miss a direction"
@@ -96,8 +105,8 @@ class LossTolerance(PlainRecord):
         if not self.growth:
             return "No mode grows: any probability of loss below 1 keeps the expected error bounded."
         words = (
-            f"Each sample may be lost with a probability below {short(self.lower)}, independently; from "
-            f"{short(self.upper)} on the expected squared error grows without bound."
+            f"Each sample may be lost with a probability below {self._lower()}, independently; from "
+            f"{self._upper()} on the expected squared error grows without bound."
         )
         if self.hidden_times.size:
             spent = counted(self.periods, "period")
@@ -106,7 +115,7 @@ class LossTolerance(PlainRecord):
             )
             words += (
                 f" Of {round(self.density * self.periods * self.period)} samples in {spent} those at {listed} may all "
-                f"miss one direction; no schedule as dense tolerates {short(self.limit)}."
+                f"miss one direction; no schedule as dense tolerates {self._limit()}."
             )
         return words
 
@@ -171,11 +180,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     kept = split_modes(plant).retained
     density = len(schedule) / schedule.period
     values = np.linalg.eigvals(kept.A) if kept.n_states else np.zeros(0)
-    clusters = eigenvalue_clusters(kept.A) if kept.n_states else ()
-    growth = max((c.value.real for c in clusters), default=0.0)
-    size = float(np.max(np.abs(values), initial=0.0))
-    if not growth > SAME_GROWTH * size:
-        growth = 0.0
+    growth, rounding = _fastest(kept)
     if kept.n_states:
         require_observable(kept, "a loss tolerance")
     everything = bool(schedule.outputs is None or schedule.outputs.all())
@@ -191,7 +196,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     if periods:
         times = _times(schedule, hidden[periods][1])
     if growth:
-        missed = _repeating(kept, schedule, growth, SAME_GROWTH * size)
+        missed = _repeating(kept, schedule, growth, SAME_GROWTH * growth + rounding)
         if missed is not None:
             count, chosen = missed
             upper, times, periods = (
@@ -200,7 +205,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
                 count,
             )
     claim = Claim(
-        f"independent losses with a probability below {short(lower)} keep the expected squared error bounded",
+        f"independent losses with a probability below {probability(lower)} keep the expected squared error bounded",
         "hidden sets and their patterns, see the notes of loss_tolerance",
         ("white noise on every measured output", "losses are independent and equally likely"),
         citation="Mo and Sinopoli 2012",
@@ -210,6 +215,19 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
         lower=lower, upper=upper, limit=limit, growth=float(growth), density=density, period=period, hidden_times=times,
         periods=periods, claim=claim, time_unit=plant.time_unit,
     )  # fmt: skip
+
+
+def _fastest(plant: Plant) -> tuple[float, float]:
+    """The fastest growth, 0 where rounding alone may make it, and how well it is known.
+
+    Each mode in its own size: what oscillates fast says nothing of one that grows slowly beside it.
+    """
+    growth, rounding = 0.0, 0.0
+    for cluster in eigenvalue_clusters(plant.A) if plant.n_states else ():
+        real, doubt = cluster.value.real, cluster.uncertainty
+        if real > max(growth, min(doubt, SAME_GROWTH * abs(cluster.value))):
+            growth, rounding = real, 2 * doubt
+    return growth, rounding
 
 
 def _borne(growth: float, time: float, samples: float) -> float:

@@ -27,7 +27,7 @@ from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, PlainRecord, TableRecord, moment, short
+from sampling_design.records.record import Plain, PlainRecord, TableRecord, counted, moment, short
 from sampling_design.records.signatures import checked
 
 MOSTLY = 0.9  # share of a contradiction that the samples named with it make
@@ -320,9 +320,17 @@ class Interval(TableRecord, PlainRecord):
         if not bounded.all():
             names = ", ".join(n for n, *_, known in ends if not known)
             modes = self.unobservable_modes
-            why = f": no reading shows {modes_with(modes)}" if modes else ""
-            sentences.append(f"They leave {names} unbounded{why}.")
+            why = f"no reading shows {modes_with(modes)}" if modes else self._few()
+            sentences.append(f"They prove no bound of {names}: {why}.")
         return " ".join([*sentences, *([self.notice] if self.notice else [])])
+
+    def _few(self) -> str:
+        """Why nothing is proven, though readings of every mode are there."""
+        read, n = self.readings, self.plant.n_states
+        plain = int(np.count_nonzero(~read.below))
+        if plain < n:
+            return f"{counted(plain, 'reading')} (limits do not count) for {counted(n, 'state')}"
+        return "these readings may not determine it, or rounding in these coordinates hides that they do"
 
     @property
     def notice(self) -> str:

@@ -11,7 +11,7 @@ from sampling_design.records.arrays import Array
 
 
 class RecordCones:
-    """States count as x = path + D L z, residuals of readings from `path`; `H` and `path` in D coordinates, in `unit`.
+    """States count as x = path + D L z, each time with its L; residuals from `path`; `H` and `path` in D coordinates.
 
     Attributes
     ----------
@@ -45,13 +45,13 @@ class RecordCones:
         self._kinds()
         table = ConeTable(self.columns)
         with np.errstate(over="ignore", invalid="ignore"):  # a flow may overflow: no solver takes it, and no bound is
-            self._flow(table, np.asarray(np.linalg.solve(L, F @ L)), cells, L)
+            self._flow(table, np.asarray(np.linalg.solve(L[1:], F @ L[:-1])), cells, L)
         if not readings.start.unbounded:
             longer = np.zeros((self._n, self._starts))
             longer[: len(root)] = root
-            turned = -np.asarray(np.linalg.solve(L, longer / D[:, None]))
-            table.add(-np.asarray(np.linalg.solve(L, path[0])), (self._starts, np.eye(self._n)), (0, turned))
-        self._pose_readings(table, np.asarray(H @ L / unit[:, None]))
+            turned = -np.asarray(np.linalg.solve(L[0], longer / D[:, None]))
+            table.add(-np.asarray(np.linalg.solve(L[0], path[0])), (self._starts, np.eye(self._n)), (0, turned))
+        self._pose_readings(table, np.einsum("rn,rnm->rm", H, L[readings.nodes]) / unit[:, None])
         self.b, self._A, self._cones = table.b(), table.matrix(), table.cones
         interior = not self._exact.size  # without one the last digits of every step count
         self.solver = ConeSolver(self._A, self._cones, tolerance=tolerance, scaled=interior)
@@ -74,8 +74,8 @@ class RecordCones:
 
     def _flow(self, table: ConeTable, F: Array, cells: list[Array], L: Array) -> None:
         """z_{k+1} - F_k z_k - sum over the gap's cells of (int e^{As}G) w = 0."""
-        joined = np.concatenate([np.zeros((0, self._n, self._q)), *cells])
-        moved = np.asarray(np.linalg.solve(L, np.swapaxes(joined, 0, 1).reshape(self._n, -1)))
+        turned = [np.linalg.solve(own, np.hstack(list(gap))) for own, gap in zip(L[1:], cells, strict=True)]
+        moved = np.hstack([np.zeros((self._n, 0)), *turned])
         table.flow(F, moved, [len(own) * self._q for own in cells], self._starts, self._w_at)
 
     def _pose_readings(self, table: ConeTable, H: Array) -> None:

@@ -79,7 +79,7 @@ def _units(readings: Readings, lengths: Array) -> Array:
     """
     exact, H = (readings.size == 0) & ~readings.below, readings.H
     if not exact.any():
-        return np.where(readings.below, 1.0, readings.size)
+        return np.where(readings.size > 0, readings.size, 1.0)
     covariance = np.zeros((H.shape[1], H.shape[1]))
     if lengths.size:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -92,7 +92,7 @@ def _units(readings: Readings, lengths: Array) -> Array:
     size, noisy = np.linalg.norm(H, axis=1), (readings.size > 0) & ~readings.below
     most = float(np.max(size[noisy] / readings.size[noisy], initial=0.0))
     moved = np.where(moved > 0, moved, np.where(size > 0, size, 1.0) / (most if most > 0 else 1.0))
-    return np.where(exact, moved, np.where(readings.below, 1.0, readings.size))
+    return np.where(exact, moved, np.where(readings.size > 0, readings.size, 1.0))
 
 
 class RecordProgram:
@@ -105,7 +105,8 @@ class RecordProgram:
         self.readings = readings
         lengths = np.diff(readings.times)
         if table is None:
-            H = np.where(readings.below[:, None], 0.0, readings.H / _units(readings, lengths)[:, None])
+            seen = ~readings.below | (readings.size > 0)
+            H = np.where(seen[:, None], readings.H / _units(readings, lengths)[:, None], 0.0)
             rows = np.split(H, readings.offsets[1:-1])[:-1]
             table = GapTable.suited(readings.A, readings.G, lengths, rows)
         self.table = table
@@ -139,12 +140,12 @@ class RecordProgram:
             driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._gap_noise.mean(axis=0), self.H), 0.0))
         size = np.linalg.norm(self.H, axis=1)
         stand_in = np.where(driven > 0, driven, np.where(size > 0, size, 1.0))
-        stand_in = np.where(read.below, stand_in, EXACT * stand_in)
+        stand_in = np.where(read.below, np.maximum(stand_in, read.size), EXACT * stand_in)
         return np.where((read.size > 0) & ~read.below, read.size, stand_in)
 
     @cached_property
     def _filter(self) -> tuple[Array, Array]:
-        """Gains (R, n) of the filter with the same bounds as deviations, and its covariance at the end, for scaling."""
+        """Gains (R, n) of the filter with the same bounds as deviations, and its covariances (K, n, n), for scaling."""
         read, n, D = self.readings, len(self.table.D), self.table.D
         P = np.eye(n) * DIFFUSE
         if not read.start.unbounded:
@@ -154,7 +155,7 @@ class RecordProgram:
             known = np.sqrt(np.einsum("ij,ij->i", root, root))
             P = root @ root.T + np.diag(np.where(known > 0, 0.0, 1e-6))
         H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
-        gains = np.zeros((len(H), n))
+        gains, covariances = np.zeros((len(H), n)), np.zeros((len(read.times), n, n))
         for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
             if k:
                 with np.errstate(over="ignore", invalid="ignore"):
@@ -164,17 +165,22 @@ class RecordProgram:
             if b > a:
                 P, K = update_with_gain(P, H[a:b])
                 gains[a:b] = K.T
-        return gains, P
+            covariances[k] = P
+        return gains, covariances
 
     @cached_property
     def L(self) -> Array:
-        """Coordinates x = D L z in which states that are possible are of size one: a root of its covariance."""
+        """(K, n, n) coordinates x = D L z of each time in which what is possible is of size one: roots of covariances.
+
+        Where nothing drives a state that decays, those of one time would make it as large as it has decayed by then.
+        """
         P = self._filter[1]
-        size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
+        size = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), np.finfo(float).tiny))
         with np.errstate(over="ignore"):
-            alike = np.clip(P / size[:, None] / size, -1.0, 1.0)
+            alike = np.clip(P / size[:, :, None] / size[:, None, :], -1.0, 1.0)
         values, vectors = np.linalg.eigh(alike)
-        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, LEAST * len(P))))
+        least = LEAST * P.shape[1]
+        return np.asarray(size[:, :, None] * vectors * np.sqrt(np.maximum(values, least))[:, None, :])
 
     @cached_property
     def _levels(self) -> dict[int, RecordCones]:
@@ -270,7 +276,7 @@ class RecordProgram:
     def _solved(self, c: Array, level: int) -> tuple[float, Array, Array]:
         """What the adversary attains, and multipliers of rows and gaps, for a target at the last time, unchecked."""
         with np.errstate(over="ignore", invalid="ignore"):
-            posed, mu = self.posed(level), self.L.T @ c
+            posed, mu = self.posed(level), self.L[self._aim].T @ c
         size = math.hypot(*mu.tolist())  # its square may overflow
         nothing = np.inf, np.zeros(len(self.H)), np.zeros_like(self.F[:, 0])
         if size == 0 or not np.isfinite(size):
@@ -320,7 +326,7 @@ class RecordProgram:
 
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
-        meant = np.asarray(np.linalg.solve(self.L.T, ahead.T).T) if len(ahead) else ahead
+        meant = np.linalg.solve(np.swapaxes(self.L[1:], 1, 2), ahead[:, :, None])[:, :, 0]
         begun = np.zeros((len(self.readings.times), len(c)))
         begun[:-1] = np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0]
         begun[self._aim] += c
@@ -372,7 +378,7 @@ class RecordProgram:
 
     def _closed(self, c: Array, gains: Array, rest: Array) -> bool:
         """Whether what gains leave of a free start is rounding."""
-        if not np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains):
+        if not np.linalg.norm(self.L[-1].T @ rest) <= NOTHING * self._terms(c, gains):
             return False
         begun = self._begun(c)
         return self._free.closes(gains, begun, rest) and not self._free.hides(begun)
@@ -417,11 +423,11 @@ class RecordProgram:
     def _terms(self, c: Array, gains: Array) -> float:
         """The size of the terms that what is left of the start is a difference of."""
         terms = np.abs(gains) @ self._residual_sizes if gains.size else 0.0
-        return float(np.linalg.norm(self.L.T @ c) + terms)
+        return float(np.linalg.norm(self.L[-1].T @ c) + terms)
 
     @cached_property
     def _residual_sizes(self) -> Array:
-        return np.asarray(np.linalg.norm(self.H @ self.L, axis=1))
+        return np.asarray(np.linalg.norm(self.H @ self.L[-1], axis=1))
 
     def upper(self, t: float, row: Array, gains: Array) -> RowEnd:
         """Return what any gains prove of a row at t, without a solver: for all real times, rounded outwards."""

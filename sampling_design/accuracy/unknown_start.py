@@ -94,7 +94,7 @@ class FreeResponses:
 
 
 CHANGED = 1e-11  # share of the gains, in units of the noise, that may be changed to take away what they leave: rounding
-SETTLED = 1e-14  # share of them from which on a change is not worth making
+SETTLED = 1e-14  # share of them from which on a change is the last one
 
 ROUNDS = 6
 """Changes of gains, at most: one may end the gain of a one-sided row at 0, and the next does without that row."""
@@ -177,10 +177,11 @@ class FreeStart:
             own = gains
             for _ in range(ROUNDS):
                 change = self._change(own, rest(own), play)
-                if self._small(change, own, SETTLED):
-                    break
+                settled = self._small(change, own, SETTLED)
                 own = own + change
                 own = np.where(self._below, np.maximum(own, 0.0), own)
+                if settled:
+                    break
             if not self._below.any() or self.closes(own, begun, rest(own)):
                 break
         return own

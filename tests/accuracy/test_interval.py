@@ -178,15 +178,15 @@ def test_what_nothing_shows_is_unbounded_and_named():
     plant = sd.Plant(np.diag([0.1, -0.1]), [[0.0, 1.0]], states=["hidden", "seen"])
     found = state_interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1)
     assert np.isinf(found.radii[0])
-    assert "They leave hidden unbounded: no reading shows the mode with eigenvalue 0.1." in found.explain()
+    assert "They prove no bound of hidden: no reading shows the mode with eigenvalue 0.1." in found.explain()
     assert "seen from 0.9 to 1.1" in found.explain()
     assert found.unobservable_modes == ("0.1",)
     only = state_interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1, of="hidden")
-    assert only.explain().startswith("They leave hidden unbounded")
+    assert only.explain().startswith("They prove no bound of hidden")
     early = state_interval(
         sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1
     )
-    assert early.explain().endswith("They leave x2 unbounded.")
+    assert early.explain().endswith("They prove no bound of x2: 1 reading (limits do not count) for 2 states.")
 
 
 def test_exact_readings_say_that_the_program_is_degenerate():

@@ -20,6 +20,14 @@ WITHIN = 0.01
 ROUNDED = 1e-7
 """Share of the width that rounding and the other solver may take."""
 
+EXTREME = {
+    "nothing drives": lambda w, v: (0 * w, v),
+    "exact": lambda w, v: (w, v * (np.arange(v.shape[1]) > 0)),
+    "all but noise is small": lambda w, v: (1e-6 * w, 1e3 * v),
+    "all but disturbances are small": lambda w, v: (1e3 * w, 1e-3 * v),
+}
+"""What becomes of the bounds."""
+
 
 def dynamics(rng, n):
     A, kind = rng.normal(size=(n, n)), rng.integers(5)
@@ -46,7 +54,7 @@ def reading(rng, value, size, spans):
     return lambda unit: got * unit, got - size, got + size
 
 
-def drawn(seed, cells=16):
+def drawn(seed, cells=16, extreme=lambda w, v: (w, v)):
     """A plant and a record as typed, with the program that knows all about them in plain units."""
     rng = np.random.default_rng(seed)
     n, p, q, m = (int(rng.integers(low, high)) for low, high in ((1, 5), (1, 3), (1, 3), (0, 2)))
@@ -56,7 +64,7 @@ def drawn(seed, cells=16):
     origin = 1.7e9 if t >= 1 and rng.uniform() < 0.4 else 0.0
     typed = origin + np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 1.2, rng.integers(2, 10)))]) * t
     times = ((typed - origin) / t).tolist()
-    w_bound, v_bound = rng.uniform(0.01, 1, q), rng.uniform(0.05, 0.6, (len(times), p))
+    w_bound, v_bound = extreme(rng.uniform(0.01, 1, q), rng.uniform(0.05, 0.6, (len(times), p)))
     start = rng.uniform(0.1, 3, n) if rng.uniform() < 0.5 else None
     inputs = [(s, rng.normal(size=m)) for s in times if m and rng.uniform() < 0.4]
     whole = WholeRecord(A, B, C, D, G, times, np.zeros(n), inputs, cells)
@@ -94,9 +102,9 @@ def drawn(seed, cells=16):
     return plant, record, given, whole.ends(c, times[-1], rows, bounds)
 
 
-def wrong(seed):
+def wrong(seed, **named):
     """What of an interval is not as the program says."""
-    plant, record, given, ends = drawn(seed)
+    plant, record, given, ends = drawn(seed, **named)
     found = state_interval(plant, record, **given)
     known = [abs(end) for end in ends if np.isfinite(end)]
     width = ends[1] - ends[0] if len(known) == 2 else max([1.0, *known])
@@ -110,6 +118,11 @@ def wrong(seed):
 @pytest.mark.parametrize("seed", range(12))
 def test_an_interval_is_what_a_linear_program_of_the_record_says(seed):
     assert wrong(seed) == []
+
+
+@pytest.mark.parametrize("extreme", EXTREME)
+def test_so_it_is_where_bounds_are_0_or_far_apart(extreme):
+    assert {seed: said for seed in range(100, 107) if (said := wrong(seed, extreme=EXTREME[extreme]))} == {}
 
 
 @pytest.mark.long

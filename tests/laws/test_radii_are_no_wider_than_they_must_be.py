@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from sampling_design import Constraints, CostFunction, MovingHorizonEstimator, Plant
+from sampling_design import (
+    Constraints,
+    CostFunction,
+    MovingHorizonEstimator,
+    Plant,
+    SetMembershipEstimator,
+    state_interval,
+)
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 BOUNDS = {"w_bound": 0.05, "v_bound": [0.2], "initial_error": 1.0, "horizon": 6.0}
@@ -49,3 +56,16 @@ def test_far_ahead_the_radius_grows_with_time_and_not_with_its_exponential():
         pushed = BOUNDS["w_bound"] * ahead
         assert estimate.certified
         assert np.all(estimate.radii < 2.0 * (pushed + 1.0))
+
+
+@pytest.mark.parametrize(("units", "time"), [((1.0, 1.0, 1.0, 1.0), 1.0), ((1e-4, 1e-5, 1e-5, 1e-6), 1e4)])
+def test_radii_as_samples_come_are_those_of_the_whole_record(units, time):
+    rng, sizes = np.random.default_rng(1), np.array(units)
+    A, G, C = np.diag(np.ones(3), 1), np.array([[-0.9], [-0.8], [0.4], [0.07]]), np.array([[0.4, -1.0, 0.8, 2.0]])
+    plant = Plant(A * sizes[:, None] / sizes / time, C / sizes, G=sizes[:, None] * G / time)
+    known = {"w_bound": 1.0, "v_bound": [0.4], "initial_error": sizes * [2.7, 1.9, 2.5, 1.5]}
+    estimator, record = SetMembershipEstimator(plant, **known), []
+    for t, y in zip([0.0, 0.8, 1.9, 2.6, 3.2], rng.uniform(-0.4, 0.4, 5), strict=True):
+        record.append((t * time, [y]))
+        radii = estimator.update(t * time, [y]).radii
+        assert radii == pytest.approx(state_interval(plant, record, **known).radii, rel=0.005)

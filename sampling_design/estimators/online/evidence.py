@@ -52,9 +52,13 @@ class EstimateAssumptions:
         return Readings.unread(self.plant, self.disturbance, known, begin, self.noise.ball, inputs)
 
     def program(self, readings: Readings) -> RecordProgram:
-        """Return the program of some readings; gaps are shared with those before."""
+        """Return the program of some readings; gaps are shared with those before.
+
+        Not with those of so few samples that they say little of the states' sizes: in unsuitable ones proofs lose.
+        """
         found = RecordProgram(readings, self._tables.get(readings.means))
-        self._tables.setdefault(readings.means, found.table)
+        if len(readings.times) > self.plant.n_states:
+            self._tables.setdefault(readings.means, found.table)
         return found
 
 

@@ -85,7 +85,7 @@ class RandomArrivals(PlainRecord):
     def claim(self) -> Claim:
         """What is bounded, and what it assumes."""
         return Claim(
-            f"a window contracts with a probability of at least {probability(self.contracts[0])}, and the expected squared "
+            f"a window contracts with a probability of at least {self._least}, and the expected squared "
             f"error by a factor of at most {probability(self.mean_factor[1], up=True)}",
             "expected contraction under random arrivals",
             (

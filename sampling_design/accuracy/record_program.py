@@ -326,7 +326,7 @@ class RecordProgram:
 
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
-        meant = np.linalg.solve(np.swapaxes(self.L[1:], 1, 2), ahead[:, :, None])[:, :, 0]
+        meant = np.asarray(np.linalg.solve(np.swapaxes(self.L[1:], 1, 2), ahead[:, :, None])[:, :, 0])
         begun = np.zeros((len(self.readings.times), len(c)))
         begun[:-1] = np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0]
         begun[self._aim] += c

@@ -54,10 +54,10 @@ class EstimateAssumptions:
     def program(self, readings: Readings) -> RecordProgram:
         """Return the program of some readings; gaps are shared with those before.
 
-        Not with those of so few samples that they say little of the states' sizes: in unsuitable ones proofs lose.
+        Not with those of one sample, which say nothing of the states' sizes: in unsuitable ones proofs lose.
         """
         found = RecordProgram(readings, self._tables.get(readings.means))
-        if len(readings.times) > self.plant.n_states:
+        if len(readings.times) > 1:
             self._tables.setdefault(readings.means, found.table)
         return found
 

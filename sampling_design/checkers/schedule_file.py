@@ -95,6 +95,12 @@ class Times:
         """How long before each sample a window may start with that sample next."""
         return np.maximum(self.gaps, np.where(np.arange(self.gaps.size) == 0, self.first, 0.0))
 
+    @property
+    def windows(self) -> str:
+        """The windows of which something is proven."""
+        last = "" if self.periodic else f" up to {self.times[-1]:.9g}, the last sample"
+        return f"every real window start and every later t{last}"
+
 
 @dataclass(frozen=True)
 class Witness:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.errors import ArgumentError
 from tests.oracles import riccati as oracle
 
 PLANTS = [
@@ -64,3 +65,13 @@ def test_the_worst_trajectory_reaches_the_bound(k):
     assert exact == pytest.approx(1.0, abs=1e-3)
     x = np.array(seen.direction)
     assert x @ made.P2 @ x / made.lam / (x @ Pi @ x) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_finite_schedule_promises_nothing_after_its_last_sample():
+    """In resonance the error grows beyond what the bound would be; its files say so, decided in floats and in balls."""
+    made = certify(PLANTS[0], Schedule([0.5, 1.3, 2.0, 2.6]), eta=0.1, P2=np.eye(2))
+    assert made.error_bound([0.0, 2.6], 1.0, 0.1, 0.1).shape == (2,)
+    with pytest.raises(ArgumentError, match=r"`t` must not lie after 2\.6, the last sample: .* ends there, got 100\.0"):
+        made.error_bound([1.0, 100.0], 1.0, 0.1, 0.1)
+    for rigorous in (False, True):
+        assert "every later t up to 2.6, the last sample" in made.verify(rigorous=rigorous).reason

@@ -33,8 +33,9 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import Plain, moment, short
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
+from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 WITHOUT_GAIN = "noise gain is beyond"  # how the weights are told that keep no noise gain as it was asked for
@@ -159,6 +160,10 @@ class SampledCertificate(VerifiableRecord, ABC):
     @abstractmethod
     def _file_parts(self) -> dict[str, object]:
         """What the file says of claim and times; arrays as they are."""
+
+    def _last_time(self) -> float:
+        """Until when it holds."""
+        return float("inf")
 
     def _samples_until(self, end: float) -> Array:
         """Sample times in [0, end]: of the schedule, or the most that any schedule of the family has."""
@@ -304,6 +309,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         Parameters
         ----------
         t : float or array [time]
+            Of a finite schedule at most its last sample.
         e0 : (n,) array
             Initial error, or a bound on its norm as a number.
         w_bound, v_bound : float
@@ -320,6 +326,12 @@ class SampledCertificate(VerifiableRecord, ABC):
         times = checks.real_array("t", t, checks.dimensions(t))
         if np.any(times < 0):
             raise ArgumentError(f"`t` must not be negative, got {float(times.min())!r}: the bound begins at 0.")
+        last = self._last_time()
+        if np.any(times > last * (1 + ROUNDING)):
+            raise ArgumentError(
+                f"`t` must not lie after {last!r}, the last sample: what is certified ends there, got "
+                f"{float(times.max())!r}."
+            )
         initial = checks.real_array("e0", e0, checks.dimensions(e0))
         w, v = checks.nonnegative("w_bound", w_bound), checks.nonnegative("v_bound", v_bound)
         unit = max(float(np.max(np.abs(initial), initial=0.0)), w, v) or 1.0  # squares of ratios stay numbers
@@ -434,8 +446,11 @@ class Certificate(SampledCertificate):
             ("linear plant",),
         )
 
+    def _last_time(self) -> float:
+        return float("inf") if self.schedule.endless else float(self.schedule.times[-1])
+
     def _until(self) -> str:
-        return "" if self.schedule.endless else f" up to time {short(self.schedule.times[-1])}"
+        return "" if self.schedule.endless else f" up to time {moment(self._last_time())}"
 
     def _samples_until(self, end: float) -> Array:
         return self.schedule.between(0.0, max(end, 0.0)).times

@@ -291,7 +291,7 @@ def assumption_7(c: Sampled, clock: Budget) -> Proven:
     if stated:
         attained(c, clock)
     names = " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)"
-    return holds(names, slack, "every real window start and every later t")
+    return holds(names, slack, c.schedule.windows)
 
 
 def replays_in_balls(content: Sampled) -> bool:

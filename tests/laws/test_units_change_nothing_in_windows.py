@@ -3,6 +3,7 @@ and without them, one unit for all states and one for all outputs scale sigma by
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, SpacedWindows, window_sigma, worst_case_sigma
 from sampling_design.observability.count.default_window import default_window
@@ -120,3 +121,23 @@ def test_the_window_that_was_not_given(seed):
     here, there = default_window(split_modes(plant)), default_window(split_modes(other))
     if any(c.value.imag for c in split_modes(plant).clusters):  # else it comes of |A|, which units change
         assert there == pytest.approx(units.time * here, rel=EXACT)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sigma_is_proven_where_units_of_states_are_far_apart(seed):
+    """1/sigma = |D F_z| with F_z of the plant in plain units: no digit is lost there, however far apart units are."""
+    rng = np.random.default_rng(seed)
+    n, p, W = int(rng.integers(2, 4)), int(rng.integers(1, 3)), 2.5
+    A, C, D = rng.normal(size=(n, n)), rng.normal(size=(p, n)), 10.0 ** rng.permutation([-8.0, 0.0, 7.0])[:n]
+    A = (A - A.T, A - np.eye(n) * (np.linalg.eigvals(A).real.max() - 0.1), np.diag(np.ones(n - 1), 1))[seed % 3]
+    schedule = PeriodicSchedule(rng.uniform(0.3, 0.9, 2))
+    found = window_sigma(Plant(A * D[:, None] / D, C / D), schedule, W)
+    times = schedule.between(0.0, 3 * schedule.period + 2 * W).times
+    starts = np.concatenate([times[times <= 2 * schedule.period] + 1e-9, rng.uniform(0, schedule.period, 20)])
+    least = np.inf
+    for start in starts:
+        taus = times[(times >= start) & (times <= start + W)] - start
+        rows = (C @ expm(A * taus[:, None, None])).reshape(-1, n)
+        least = min(least, 1 / np.linalg.norm(D[:, None] * np.linalg.pinv(rows, rcond=1e-15), 2))
+    assert 0.99 * found.upper <= found.lower <= least * (1 + 1e-9)
+    assert found.upper <= least * 1.02

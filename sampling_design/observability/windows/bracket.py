@@ -2,18 +2,22 @@
 
 On a piece O(s) = O(b) e^{A(b-s)}, so that 1/sigma(s) = |F(s)| with F(s) = e^{-A(b-s)} O(b)^+ and F'' = A^2 F.
 An upper bound on a norm is what follows, and norms are convex.
+
+Where states count in units far apart, rounding that is small in one is large in another. Then x = D z, D powers of two
+that balance A and C, and 1/sigma = |D F_z|: exponentials round in z alone, and |D A_z^4 F_z| <= |D| |A_z^4| |F_z|.
 """
 
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.observability.windows.timing import rows_of_any_time
+from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, Progress
@@ -57,10 +61,13 @@ def require_moderate(plant: Plant) -> None:
 
 
 class _PieceRows:
-    """The pseudo-inverse F of each piece at its right end, carried to any other position."""
+    """The pseudo-inverse F of each piece at its right end, carried to any other position; in states z, x = D z."""
 
-    def __init__(self, plant: Plant, pieces: WindowPieces) -> None:
-        self.plant, self.pieces, n = plant, pieces, plant.n_states
+    def __init__(self, plant: Plant, pieces: WindowPieces, D: Array | None = None) -> None:
+        self.balanced, n = D is not None, plant.n_states
+        self.D = np.ones(n) if D is None else D
+        plant = plant if D is None else Plant(plant.A * D / D[:, None], plant.C * D)
+        self.plant, self.pieces = plant, pieces
         self.A2 = plant.A @ plant.A
         self.fourth = float(np.linalg.norm(self.A2 @ self.A2, 2))
         half = (plant.A + plant.A.T) / 2
@@ -73,8 +80,8 @@ class _PieceRows:
         self.F = np.swapaxes(right, 1, 2) / spread[:, None, :]
         self.G = np.where(self.zero[:, None, None], 0.0, singular[:, :, None] * right)
         span = float(np.max(pieces.right - pieces.left)) + float(np.ptp(pieces.times)) if len(pieces.times) else 0.0
-        grade = ALLOWANCE * max(1.0, float(np.linalg.norm(plant.A, 1)) * span / 200)
-        self.kept = np.maximum(0.0, 1 - 3 * grade * size / safe)
+        self.grade = ALLOWANCE * max(1.0, float(np.linalg.norm(plant.A, 1)) * span / 200)
+        self.kept = np.maximum(0.0, 1 - 3 * self.grade * size / safe)
 
     def _references(self) -> tuple[Array, Array, Array, float]:
         """Singular values, right vectors, rounding size of each O at its piece's right end; the largest |e^{A tau}|."""
@@ -117,19 +124,26 @@ class _PieceRows:
             size[part] = c * f * np.sqrt(np.sum(squares * np.sum((flow / f) ** 2, axis=(-1, -2)), axis=-1))
         return singular, right, size, growth
 
-    def at(self, owner: Integers, start: Array) -> tuple[Array, Array]:
-        """|F| = 1/sigma, and an upper bound on |A^2 F|, at window starts on the pieces `owner`."""
-        value, second = np.empty(start.size), np.empty(start.size)
+    def at(self, owner: Integers, start: Array) -> tuple[Array, Array, Array]:
+        """|D F| = 1/sigma, and upper bounds on |D A^2 F| and on |F|, at window starts on the pieces `owner`."""
+        value, second, plain = np.empty((3, start.size))
         step = max(1, _CHUNK // self.plant.n_states**2)
         for low in range(0, start.size, step):
             part = slice(low, low + step)
             with np.errstate(over="ignore", invalid="ignore"):
-                F = self.plant.transition(start[part] - self.pieces.right[owner[part]]) @ self.F[owner[part]]
+                flow = self.plant.transition(start[part] - self.pieces.right[owner[part]])
+                F = flow @ self.F[owner[part]]
                 sound = np.isfinite(F).all(axis=(1, 2)) & ~self.zero[owner[part]]
                 F = np.where(sound[:, None, None], F, 0.0)
-                value[part] = np.where(sound, np.linalg.norm(F, 2, axis=(1, 2)), np.inf)
-                second[part] = np.where(sound, np.linalg.norm(self.A2 @ F, axis=(1, 2)), np.inf)
-        return value, second
+                D = self.D[:, None]
+                value[part] = np.where(sound, np.linalg.norm(D * F, 2, axis=(1, 2)), np.inf)
+                second[part] = np.where(sound, np.linalg.norm(D * (self.A2 @ F), axis=(1, 2)), np.inf)
+                plain[part] = np.where(sound, np.linalg.norm(F, axis=(1, 2)), np.inf)
+                if self.balanced:  # what of it is rounding
+                    terms = np.linalg.norm(flow, axis=(1, 2)) * np.linalg.norm(self.F[owner[part]], axis=(1, 2))
+                    value[part] += self.grade * self.D.max() * terms
+                    second[part] += self.grade * np.linalg.norm(D * self.A2) * terms
+        return value, second, plain
 
     def below_rounding(self, owner: Integers, start: Array, value: Array) -> Mask:
         """Where sigma = 1/value lies below n eps |O(s)|."""
@@ -141,17 +155,22 @@ class _PieceRows:
             least = self.plant.n_states * _EPS * size
         return np.asarray(least >= sigma)
 
-    def ceiling(self, h: Array, fa: Array, fb: Array, ga: Array, gb: Array) -> Array:
-        """Proven upper bound on |F| over intervals of length h with |F|, |A^2 F| at both ends."""
+    def ceiling(self, h: Array, ends: tuple[Array, ...]) -> Array:
+        """Proven upper bound on |D F| over intervals of length h with what `at` says of a and of b."""
+        fa, fb, ga, gb, pa, pb = ends
         q = h * h / 8
         slack = 1 - q * q * self.fourth
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            # |F| <= chord + q sup|A^2 F|, and the same for A^2 F with |A^4 F| <= |A^4| |F|
-            second = np.where(slack > 0, (np.maximum(fa, fb) + q * np.maximum(ga, gb)) / slack, np.inf)
             # |F| grows from either end at most by the logarithmic norm: highest where the two bounds cross
             total = max(self.forward + self.backward, 1e-300)
-            x = np.clip((np.log(fb / fa) + self.backward * h) / total, 0.0, h)
-            first = np.minimum(fa * np.exp(self.forward * x), fb * np.exp(self.backward * (h - x)))
+            a, b = (pa, pb) if self.balanced else (fa, fb)
+            x = np.clip((np.log(b / a) + self.backward * h) / total, 0.0, h)
+            first = np.minimum(a * np.exp(self.forward * x), b * np.exp(self.backward * (h - x)))
+            # |F| <= chord + q sup|A^2 F|, and the same for A^2 F with |A^4 F| <= |A^4| |F|
+            chord = np.maximum(fa, fb) + q * np.maximum(ga, gb)
+            if self.balanced:
+                return np.asarray(np.nan_to_num(chord + q * q * self.D.max() * self.fourth * first, nan=np.inf))
+            second = np.where(slack > 0, chord / slack, np.inf)
         found = np.fmin(second, first)
         return np.where(np.isnan(found), np.inf, found)  # inf - inf: nothing is bounded there
 
@@ -167,12 +186,12 @@ class _BracketSearch:
         part = np.tile(np.arange(cuts + 1) / cuts, left.size)
         start = np.clip(left[owner] + part * (right - left)[owner], left[owner], right[owner])
         start[part == 1] = right
-        value, second = pieced.at(owner, start)
+        value, second, plain = pieced.at(owner, start)
         self.nodes, self.values, self.owners = [start], [value], [owner]
-        self.zero = pieced.below_rounding(owner, start, value)
+        self.zero = pieced.below_rounding(owner, start, plain if pieced.balanced else value)
         inner = np.flatnonzero(part < 1)
         self.owner, self.a, self.b = owner[inner], start[inner], start[inner + 1]
-        self.fa, self.fb, self.ga, self.gb = value[inner], value[inner + 1], second[inner], second[inner + 1]
+        self.ends = tuple(each[at] for each in (value, second, plain) for at in (inner, inner + 1))
         self.piece_lower = np.full(left.size, np.inf)
         with np.errstate(divide="ignore"):
             self.top = max(float(value.max()), float(1 / np.float64(reached)))
@@ -180,28 +199,29 @@ class _BracketSearch:
 
     def close(self) -> None:
         """Take out the intervals whose bound is good enough for the bracket."""
-        ceiling = self.pieced.ceiling(self.b - self.a, self.fa, self.fb, self.ga, self.gb)
+        ceiling = self.pieced.ceiling(self.b - self.a, self.ends)
         lower = self.pieced.kept[self.owner] / ceiling
         middle = (self.a + self.b) / 2
         done = (lower >= (1 - 0.99 * self.rtol) / self.top) | (middle <= self.a) | (middle >= self.b)
         # nothing to gain by halving: only the allowance for rounding keeps such an interval open
-        done |= ceiling <= (1 + 0.1 * self.rtol) * np.maximum(self.fa, self.fb)
+        done |= ceiling <= (1 + 0.1 * self.rtol) * np.maximum(self.ends[0], self.ends[1])
         np.minimum.at(self.piece_lower, self.owner[done], lower[done])
         self.lower_open = lower[~done]
-        for name in ("owner", "a", "b", "fa", "fb", "ga", "gb"):
-            setattr(self, name, getattr(self, name)[~done])
+        self.owner, self.a, self.b = self.owner[~done], self.a[~done], self.b[~done]
+        self.ends = tuple(each[~done] for each in self.ends)
 
     def halve(self) -> None:
         """Evaluate the middle of every open interval and cut there."""
         middle = (self.a + self.b) / 2
-        f, g = self.pieced.at(self.owner, middle)
+        between = self.pieced.at(self.owner, middle)
+        f = between[0]
         self.nodes.append(middle)
         self.values.append(f)
         self.owners.append(self.owner)
         self.top, self.evaluations = max(self.top, float(f.max())), self.evaluations + middle.size
         self.a, self.b = np.concatenate([self.a, middle]), np.concatenate([middle, self.b])
-        self.fa, self.fb = np.concatenate([self.fa, f]), np.concatenate([f, self.fb])
-        self.ga, self.gb = np.concatenate([self.ga, g]), np.concatenate([g, self.gb])
+        pairs = ((self.ends[2 * k], self.ends[2 * k + 1], inner) for k, inner in enumerate(between))
+        self.ends = tuple(np.concatenate(half) for a, b, inner in pairs for half in ((a, inner), (inner, b)))
         self.owner = np.concatenate([self.owner, self.owner])
 
     def run(self, seconds: float, progress: Progress | None) -> str:
@@ -241,8 +261,30 @@ def bracket_sigma(
     if plant.n_states == 0:
         return _nothing_to_see(pieces)
     require_moderate(plant)
+    whole = Budget(seconds)
+    found = _searched(plant, pieces, rtol, seconds, progress, reached)
+    hidden = found.status in ("rounding", "below rounding")
+    D = balanced_schur(plant.A, plant.C).d if hidden else np.ones(1)
+    if np.ptp(D) == 0:
+        return found
+    other = _searched(plant, pieces, rtol, max(seconds - whole.spent, 0.0), progress, reached, D)
+    if other.lower <= found.lower:
+        return found
+    return replace(other, witness=found.witness) if found.witness.sigma <= other.witness.sigma else other
+
+
+def _searched(
+    plant: Plant,
+    pieces: WindowPieces,
+    rtol: float,
+    seconds: float,
+    progress: Progress | None,
+    reached: float,
+    D: Array | None = None,
+) -> WindowBracket:
+    """The bracket from one search, in states z where x = D z."""
     short = _too_few(plant, pieces)
-    search = _BracketSearch(_PieceRows(plant, pieces), rtol, reached)
+    search = _BracketSearch(_PieceRows(plant, pieces, D), rtol, reached)
     if short is not None:
         status, g, start = "too few samples", short, (pieces.left[short] + pieces.right[short]) / 2
     elif search.zero.any():

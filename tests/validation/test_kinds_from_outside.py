@@ -98,7 +98,7 @@ def covers(family: ReadEitherGap, graph: family_file.Graph) -> None:
 
 
 READ = strict.table({"kind": strict.text, "low": strict.positive, "high": strict.positive})
-family_file.FAMILIES["either-gap"] = family_file.Kind(READ, lambda d, plant: ReadEitherGap((d["low"], d["high"])))
+family_file.FAMILIES["either-gap"] = (READ, lambda d, plant: ReadEitherGap((d["low"], d["high"])))
 cover.COVERED[ReadEitherGap] = covers
 
 

@@ -5,6 +5,8 @@ Only what Python itself has loaded is imported here, so that an interrupt while 
 
 from __future__ import annotations
 
+import codecs
+import io
 import os
 import signal
 import sys
@@ -14,6 +16,7 @@ from sampling_design.cli.version import show_version
 
 DEFECT = 70  # exit code of an error that is none of ours: a defect of this program, with its traceback
 INTERRUPTED = 130  # exit code of an interrupt, as shells have it
+ESCAPED = "sampling-design"  # how letters are written that an encoding has not
 ONE_THREAD = "OPENBLAS_NUM_THREADS"
 """Matrices here have 2 to 20 rows: a second thread of the BLAS waits, and takes half as many seconds again."""
 
@@ -54,6 +57,7 @@ def main() -> None:
     os.environ.setdefault(ONE_THREAD, "1")  # read by the BLAS when numpy is imported, here and in worker processes
     interrupt = _InterruptHandler()
     try:
+        _write_all_letters()
         code = _run()
         if interrupt.rung:
             raise KeyboardInterrupt
@@ -62,6 +66,24 @@ def main() -> None:
     finally:
         interrupt.close()
     sys.exit(code)
+
+
+def _write_all_letters() -> None:
+    """Let a letter that the output's encoding has not (a pipe of Windows, LANG=C) be written as JSON escapes it."""
+    codecs.register_error(ESCAPED, _escaped)
+    for stream in (sys.stdout, sys.stderr):
+        match stream:
+            case io.TextIOWrapper():
+                stream.reconfigure(errors=ESCAPED)
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    import json
+
+    match error:
+        case UnicodeEncodeError():
+            return json.dumps(error.object[error.start : error.end])[1:-1], error.end
+    raise error
 
 
 def _run() -> int:

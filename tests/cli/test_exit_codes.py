@@ -1,6 +1,8 @@
 """How the command line ends: interrupts, outputs that cannot be written, defects."""
 
 import importlib
+import io
+import json
 import os
 import signal
 import subprocess
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from sampling_design.cli import exit_codes
 from tests.cases import few
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -217,3 +220,14 @@ def test_a_validation_that_was_killed_goes_on(tmp_path):
     assert (again.returncode, again.stderr) == (0, "")
     assert kept >= 3
     assert (killed / "report.json").read_bytes() == (tmp_path / "whole" / "report.json").read_bytes()
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
+def test_letters_that_the_output_cannot_hold_are_written_as_json_escapes_them(encoding, monkeypatch):
+    names, written = ["öszi", "日 σ", "±\U0001f321"], io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding))
+    monkeypatch.setattr(exit_codes, "_run", lambda: print(json.dumps(names, ensure_ascii=False), flush=True) or 0)
+    with pytest.raises(SystemExit) as end:
+        exit_codes.main()
+    assert end.value.code == 0
+    assert json.loads(written.getvalue().decode(encoding)) == names

@@ -1,6 +1,8 @@
 """Deterministic tests: one thread for BLAS, one Hypothesis profile, no display."""
 
+import functools
 import gc
+import importlib
 import os
 import signal
 from collections.abc import Callable, Collection
@@ -19,22 +21,23 @@ import pytest
 from _pytest.doctest import DoctestModule
 from hypothesis import HealthCheck, settings
 
-from sampling_design.certificates.exact import weight_choice
-from sampling_design.certificates.families import certify_family
-from sampling_design.design.search import local_search
 from tests import raised, rigour
 
 settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
-FEWER: dict[Any, dict[str, Any]] = {
-    local_search: {"KICKS": 0, "LED": 1, "FEW": 1},
-    weight_choice: {"STARTS": (1, 1), "MAX_ITERATIONS": (10, 10), "RESTARTS": (1, 1), "BELOW": ((1.5,), (1.5,))},
-    certify_family: {"LAM_RTOL": 0.03},
+FEWER: dict[str, dict[str, Any]] = {
+    "design.search.local_search": {"KICKS": 0, "LED": 1, "FEW": 1},
+    "certificates.exact.weight_choice": {
+        "STARTS": (1, 1),
+        "MAX_ITERATIONS": (10, 10),
+        "RESTARTS": (1, 1),
+        "BELOW": ((1.5,), (1.5,)),
+    },
+    "certificates.families.certify_family": {"LAM_RTOL": 0.03},
 }
 """What a search spends where only what it finds is judged: starts of a design, descents of weights, programs."""
-SPENT = {module: {name: getattr(module, name) for name in fewer} for module, fewer in FEWER.items()}
 WHOLE = (
     "tests/design/test_search.py",
     "tests/certificates/test_certificate.py",
@@ -44,7 +47,7 @@ WHOLE = (
     "sampling_design",
 )
 """Where searches are whole: where they are judged, and where figures of the documentation are."""
-gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
+gc.set_threshold(1_000_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -70,8 +73,9 @@ class Examples:
 def pytest_configure(config: pytest.Config) -> None:
     """Let every certificate that the tests make be decided in ball arithmetic."""
     config.pluginmanager.register(Examples(), "examples")
-    rigour.register(config)
-    raised.register(config)
+    alone = getattr(config.option, "dist", "no") == "no"
+    rigour.register(config, runs_tests=alone)
+    raised.register(config, runs_tests=alone)
     config.addinivalue_line("markers", "long: left out of a run of everything, and run by `--long`, as .ci/run does")
 
 
@@ -125,14 +129,24 @@ def pytest_runtest_protocol(item: pytest.Item) -> None:
     """Let searches spend little: of designs, others and kicks are most of it, and few tests are about them."""
     long = item.get_closest_marker("long") is not None and not item.nodeid.startswith("tests/cli")
     whole = long or item.nodeid.startswith(WHOLE)
-    for module, values in (SPENT if whole else FEWER).items():
-        vars(module).update(values)
+    for tuned, spent, fewer in efforts():
+        tuned.update(spent if whole else fewer)
+
+
+@functools.cache
+def efforts() -> list[tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
+    """The modules of `FEWER` as tables of names, with what a search spends there and what it does here.
+
+    Opened by the first test: a process that hands tests to others runs none, and they wait while it starts.
+    """
+    tables = [(vars(importlib.import_module(f"sampling_design.{name}")), fewer) for name, fewer in FEWER.items()]
+    return [(tuned, {name: tuned[name] for name in fewer}, fewer) for tuned, fewer in tables]
 
 
 def pytest_collection_finish() -> None:
     """Leave all that was collected out of every search for garbage."""
-    gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 10, 10)
 
 
 def named(config: pytest.Config) -> list[str]:

@@ -116,7 +116,7 @@ class Rigour:
             shutil.rmtree(self.root, ignore_errors=True)
 
 
-def register(config: pytest.Config) -> None:
+def register(config: pytest.Config, runs_tests: bool = True) -> None:
     """Start collecting in this process, a worker of pytest-xdist or the only one, and judging after each test."""
     worker = getattr(config, "workerinput", {}).get("workerid")
     root = Path(os.environ[FOLDER]).parent if worker else Path(tempfile.mkdtemp(prefix="certificates-"))
@@ -125,4 +125,5 @@ def register(config: pytest.Config) -> None:
     plugin = Rigour(root, worker or "main", bool(worker))
     plugin.deselected = config.getoption("--long")  # of what takes long alone: no run of everything
     config.pluginmanager.register(plugin, "rigour")
-    watch()
+    if runs_tests:
+        watch()

@@ -16,6 +16,7 @@ paths = [str(HERE / "on_paper"), str(HERE.parent), os.environ.get("PYTHONPATH")]
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 
 import house_pages  # noqa: E402
+import kernels  # noqa: E402
 import make_pages  # noqa: E402
 from lost_pictures import lost_pictures  # noqa: E402
 from proven_pages import collect, open_certificates  # noqa: E402
@@ -26,6 +27,8 @@ import sampling_design  # noqa: E402
 CERTIFICATES = HERE / "_build" / "certificates"
 if not os.environ.get("DOCS_FAST"):
     collect(HERE.parent, CERTIFICATES)
+    if sys.platform == "linux":  # elsewhere each page starts a kernel of its own: libraries there do not bear a fork
+        kernels.start()
 
 project = "sampling_design"
 author = "The sampling_design maintainers"

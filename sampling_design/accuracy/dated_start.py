@@ -39,7 +39,7 @@ from sampling_design.accuracy.readings import (
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance, balanced
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch, extrapolated
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
@@ -125,6 +125,12 @@ class TimeShift:
         edges = [t, *(times if sign > 0 else times[::-1]), end]
         rate, flow = balanced_schur(plant.A).speed, np.eye(n + 1)
         rows, sizes, self._bends = [base - base], [np.zeros(n + 1)], list[Array]()
+
+        def node(row: Array, flow: Array, bend: Array) -> None:
+            rows.append(row @ flow - base)
+            sizes.append(np.abs(row) @ np.abs(flow) + np.abs(base))
+            self._bends.append(bend)
+
         for a, b in pairwise(edges):
             u = input_at(inputs, (a + b) / 2, plant.n_inputs)
             longer = np.zeros((n + 1, n + 1))
@@ -134,21 +140,15 @@ class TimeShift:
             d = balance(longer).d
             even = longer / d[:, None] * d
             # over half a panel, |e^{As} - I| <= e^{|A|s} - I entry by entry
-            half, spread = (expm_batch(M, step / 2)[0] * d[:, None] / d for M in (sign * even, np.abs(even)))
+            half, grown = (expm_batch(M, step / 2)[0] * d[:, None] / d for M in (sign * even, np.abs(even)))
             bend = step**2 / 8 * (row @ longer @ longer)
-            rows.append(row @ flow - base)
-            sizes.append(np.abs(row) @ np.abs(flow) + np.abs(base))
-            self._bends.append(np.zeros(n + 1))  # a jump of D u
+            node(row, flow, np.zeros(n + 1))  # a jump of D u
             for _ in range(count):
                 middle = half @ flow
                 flow = half @ middle
-                self._bends.append(np.abs(bend @ middle) @ spread)
-                rows.append(row @ flow - base)
-                sizes.append(np.abs(row) @ np.abs(flow) + np.abs(base))
+                node(row, flow, np.abs(bend @ middle) @ grown)
         if not np.array_equal(row, last):  # a jump at the end itself
-            rows.append(last @ flow - base)
-            sizes.append(np.abs(last) @ np.abs(flow) + np.abs(base))
-            self._bends.append(np.zeros(n + 1))
+            node(last, flow, np.zeros(n + 1))
         self.rows, self._sizes = np.array(rows), np.array(sizes)
         self.rows = self.rows if np.isfinite(self._sizes).all() else np.full_like(self.rows, np.inf)
         self._moved = self._driven(plant, disturbance, C, abs(end - t), sign)
@@ -244,10 +244,7 @@ def _bounded(apart: Readings, censored: Sequence[_Reading]) -> Array | None:
         if np.all((tried >= found * (1 + MORE / 2)) | (found == 0)):
             box = _box(program, apart.begin)
             return box if np.isfinite(box).all() else None
-        step, last = found - tried, tried - before
-        ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
-        more = 1 / (1 - ratio) if 0 < ratio < 1 else 2.0
-        before, tried = tried, np.maximum(tried, tried + step * more) * (1 + MORE)
+        before, tried = tried, extrapolated(before, tried, found) * (1 + MORE)
         if np.any(tried > FARTHEST * (np.max([each.size for each in censored]) + 1e-300)):
             return None
     return None

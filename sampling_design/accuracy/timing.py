@@ -27,7 +27,7 @@ from sampling_design.accuracy.search import TOLERANCE, GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, admissible, physical
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch, extrapolated
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
@@ -104,10 +104,7 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
             continue
         if kept is not None and turn:
             return kept[0]
-        step, last = found - tried, tried - before
-        ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
-        more = 1 / (1 - ratio) if 0 < ratio < 1 else 2.0
-        before, tried = tried, np.maximum(tried, tried + step * more) * (1 + MORE)
+        before, tried = tried, extrapolated(before, tried, found) * (1 + MORE)
         if np.any(tried > 1e6 * (found.max(initial=0.0) + 1e-300)):
             break
     if kept is not None:

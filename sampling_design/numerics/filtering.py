@@ -118,10 +118,20 @@ def covariance_root(Y: Array) -> Array:
     try:
         return np.asarray(np.linalg.cholesky(Y))
     except np.linalg.LinAlgError:
-        size = np.sqrt(np.maximum(np.diag(Y), 0.0))
-        unit = np.where(size > 0, size, 1.0)
-        values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
-        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        return correlation_root(Y)
+
+
+def correlation_root(Y: Array, rounding: float = 0.0) -> Array:
+    """Return S with S S' = Y by the eigenvalues of its correlations, 0 at least.
+
+    To each so much `rounding` is added, times the largest: what rounding may hide of one, so that the set of S only
+    grows.
+    """
+    size = np.sqrt(np.maximum(np.diag(Y), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
+    values = np.maximum(values, 0.0) + rounding * max(1.0, float(values[-1]))
+    return np.asarray(unit[:, None] * vectors * np.sqrt(values))
 
 
 def triangle(root: Array) -> Array:

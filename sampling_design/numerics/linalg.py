@@ -283,3 +283,13 @@ def symmetrise(matrix: Array) -> Array:
 def positive_or_one(values: Array) -> Array:
     """Return the values, 1 in place of those that are not positive: what a row is divided by."""
     return np.where(values > 0, values, 1.0)
+
+
+def extrapolated(before: Array, tried: Array, found: Array) -> Array:
+    """Return where a map that took `tried` (after `before`) to `found` may come to rest, by its slowest entry (Aitken).
+
+    Never less than what was tried, and twice the step where steps do not shrink.
+    """
+    step, last = found - tried, tried - before
+    ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
+    return np.asarray(np.maximum(tried, tried + step * (1 / (1 - ratio) if 0 < ratio < 1 else 2.0)))

@@ -14,6 +14,7 @@ from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
+from sampling_design.numerics.filtering import correlation_root
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, requested_rows
 from sampling_design.records.arrays import Array
@@ -156,7 +157,8 @@ class EstimateEvidence:
         start = replace(self.assumed.error, centre=first.x)
         if first.number:
             known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
-            root = _root(first.beta * first.Y) if known else np.zeros_like(first.Y)
+            Y = first.beta * first.Y if known else np.zeros_like(first.Y)
+            root = correlation_root(Y, len(Y) * np.finfo(float).eps) if known else Y
             start = BoundedSet(first.x, root, ball=known, unbounded=not known)
         if start.unbounded and first.box is not None:
             start = first.box.within
@@ -189,13 +191,3 @@ def _deviations(rows: Array, Y: Array) -> Array:
     shares = terms / np.where(largest > 0, largest, 1.0)[:, None]
     square = np.einsum("ri,ij,rj->r", shares, Y / unit[:, None] / unit, shares)
     return np.asarray(largest * np.sqrt(np.maximum(square, 0.0)))
-
-
-def _root(Y: Array) -> Array:
-    """A root of a covariance, also where rounding has made it singular."""
-    size = np.sqrt(np.maximum(np.diag(Y), 0.0))
-    unit = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
-    # what rounding may hide of an eigenvalue is added to it: the set only grows
-    values = np.maximum(values, 0.0) + len(Y) * np.finfo(float).eps * max(1.0, float(values[-1]))
-    return np.asarray(unit[:, None] * vectors * np.sqrt(values))

@@ -13,6 +13,7 @@ from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sampled_system import (
     MeasurementModel,
     SampledSystem,
+    balanced_flows,
     make_gap,
     noise_units,
     refuse_growth,
@@ -21,8 +22,6 @@ from sampling_design.accuracy.sampled_system import (
 from sampling_design.accuracy.undetectable import UNOBSERVABLE
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
-from sampling_design.numerics.linalg import discounted_flow
-from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 
@@ -45,18 +44,12 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     lengths, last = np.diff(times), float(end - times[-1])
     refuse_growth(plant, lengths, last)
     steps = np.append(lengths, last) if last or not lengths.size else lengths
-    balance = balanced_schur(plant.A).d
-    A = plant.A * balance / balance[:, None]
-    G = plant.G * bounds.w / balance[:, None]
-    F, W = discounted_flow(A, G @ G.T, steps)
-    W = W * float(np.mean(steps))
+    balance, A, G, F, W = balanced_flows(plant, steps, bounds)
     known = np.linalg.norm(initial.rows * balance, axis=0)  # what nothing drives shows what the start does to it
     begun = np.divide(1.0, known, out=np.zeros_like(known), where=known > 0)
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W if W.any() else np.diag(begun**2)[None])
     D = _scales(F, W, rows, known)
-    A, G = A * D / D[:, None], G / D[:, None]
-    F, W = F * D / D[:, None], W / np.outer(D, D)
-    rows = [H * D for H in rows]
+    (A, F), G, W, rows = (M * D / D[:, None] for M in (A, F)), G / D[:, None], W / np.outer(D, D), [H * D for H in rows]
     D = balance * D
     P = start_covariance(initial, D)
     roots, samples = [], []

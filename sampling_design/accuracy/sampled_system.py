@@ -285,16 +285,10 @@ def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Arr
     `moving` (n, m) is what no sample shows, as it is at the first one; nobody knows it.
     """
     refuse_growth(plant, gaps)
-    balance = balanced_schur(plant.A).d
-    A = plant.A * balance / balance[:, None]
-    G = plant.G * bounds.w / balance[:, None]
-    F, W = discounted_flow(A, G @ G.T, gaps)
-    W = W * float(np.mean(gaps))
+    balance, A, G, F, W = balanced_flows(plant, gaps, bounds)
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
     D = state_scales(F, W, rows if moving is None else _rows_between(A, gaps, rows))
-    A, G = A * D / D[:, None], G / D[:, None]
-    F, W = F * D / D[:, None], W / np.outer(D, D)
-    rows = [H * D for H in rows]
+    (A, F), G, W, rows = (M * D / D[:, None] for M in (A, F)), G / D[:, None], W / np.outer(D, D), [H * D for H in rows]
     U = np.zeros((len(A), 0)) if moving is None else moving / (balance * D)[:, None]
     bases = _bases(F, U)
     r, count = len(A) - U.shape[1], len(rows)
@@ -318,6 +312,14 @@ def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Arr
         gap.F[:r, r:] = 0.0
         steps.append(gap)
     return SampledSystem(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
+
+
+def balanced_flows(plant: Plant, steps: Array, bounds: SignalBounds) -> tuple[Array, Array, Array, Array, Array]:
+    """Sizes of the states in which A is even, and there A, G in units of the bound on w, flows and noise over steps."""
+    balance = balanced_schur(plant.A).d
+    A, G = plant.A * balance / balance[:, None], plant.G * bounds.w / balance[:, None]
+    F, W = discounted_flow(A, G @ G.T, steps)
+    return balance, A, G, F, W * float(np.mean(steps))
 
 
 def _rows_between(A: Array, gaps: Array, rows: list[Array]) -> list[Array]:

@@ -15,7 +15,7 @@ from sampling_design.nonlinear.thyroid import SCALING
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import plain
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Record, markdown_table, short
 
 SCHEMES = ("standard", "sample_based")
 SPANS = {"all": 0.0, "without_start": 1e-9, "after_day_1": 1.0}
@@ -238,14 +238,14 @@ class ThyroidReport(Record):
             f"Written by `sampling-design thyroid {asked} -o DIR`, as DIR/thyroid.md.",
             f"{self.runs} runs of {short(self.days)} days per interpretation of w, seed {self.seed}; "
             "RMSE in scaled states, mean over the runs and, in brackets, standard deviation between them.",
-            _table(
+            markdown_table(
                 ["w", "span", "standard", "sample-based", "ratio"],
                 [
                     ["the paper", _SPAN_WORDS["all"], *map(str, PAPER_RMSE.values()), f"{_paper_ratio():.3f}"],
                     *(_error_row(case, span, data[case]) for case in self.cases for span in SPANS),
                 ],
             ),
-            _table(
+            markdown_table(
                 ["w", "scheme", "problems", "mean time [s]", "longest [s]", "together [s]", "failed"],
                 [_solver_row(case, scheme, data[case][scheme]) for case in self.cases for scheme in SCHEMES],
             ),
@@ -292,8 +292,3 @@ def _solver_row(case: str, scheme: str, data: Tree) -> list[str]:
     times = [f"{data[key]:.3f}" for key in ("seconds_mean", "seconds_max")]
     times.append(f"{data['problems'] * data['seconds_mean']:.1f}")
     return [case, scheme.replace("_", "-"), str(data["problems"]), *times, str(data["failed"])]
-
-
-def _table(header: list[str], rows: list[list[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

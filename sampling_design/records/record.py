@@ -315,3 +315,9 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
 def counted(number: int, what: str) -> str:
     """Return "1 sample", "2 samples"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def markdown_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table in markdown, without the end of its last line."""
+    lines = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
-from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, short
+from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, markdown_table, short
 
 ROUNDING = 1e-8  # a promise counts as kept while it is exceeded by no more than this share: the rounding of a long run
 
@@ -195,8 +195,7 @@ class ValidationReport(YesOrNo, ListRecord[ClaimCheck], PlainRecord):
         """Return the report as a page: verdict, checks, notes, settings."""
         heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
         lines = [f"# Validation of {self.plant.name or 'a plant'}", "", self.explain(), ""]
-        lines += ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
-        lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in self.cells()]
+        lines.append(markdown_table(heads, self.cells()))
         notes = [f"- {f.claim} ({f.scenario}): {f.note}" for f in self.checks if f.note]
         lines += ["", "## Notes", "", *notes] if notes else []
         lines += ["", "## Not checked", "", *(f"- {text}" for text in self.skipped)] if self.skipped else []

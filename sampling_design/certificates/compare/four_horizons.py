@@ -12,7 +12,7 @@ from sampling_design.certificates.paper.proof_constants import ProofConstants, c
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records.declarations import in_latex, latex_table
-from sampling_design.records.record import ListRecord, short
+from sampling_design.records.record import ListRecord, markdown_table, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 
@@ -97,9 +97,7 @@ class FourHorizons(ListRecord[HorizonRow]):
 
     def to_markdown(self) -> str:
         """Return the table as markdown."""
-        lines = ["| horizon | source | M > | C_x | C_w | C_v |", "|---|---|---|---|---|---|"]
-        lines += ["| " + " | ".join(cells) + " |" for cells in self.cells()]
-        return "\n".join(lines) + "\n"
+        return markdown_table(("horizon", "source", "M >", "C_x", "C_w", "C_v"), self.cells()) + "\n"
 
     def to_latex(self) -> str:
         """Return the table as a LaTeX `tabular` in small type."""

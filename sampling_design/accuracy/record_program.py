@@ -24,7 +24,7 @@ from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
 from sampling_design.numerics.filtering import propagate, update_with_gain
-from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.numerics.linalg import discounted_flow, products
 from sampling_design.records.arrays import Array
 
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
@@ -328,7 +328,7 @@ class RecordProgram:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
         meant = np.asarray(np.linalg.solve(np.swapaxes(self.L[1:], 1, 2), ahead[:, :, None])[:, :, 0])
         begun = np.zeros((len(self.readings.times), len(c)))
-        begun[:-1] = np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0]
+        begun[:-1] = products(np.swapaxes(self.F, 1, 2), meant)
         begun[self._aim] += c
         return meant, begun
 

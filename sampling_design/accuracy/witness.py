@@ -15,7 +15,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.unknown_start import FreeResponses
-from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
@@ -105,15 +105,13 @@ class AccuracyWitness(Record):
             at = np.flatnonzero(cells[:-1] == count)
             inside = ends[at][:, None] + np.arange(count)
             ahead, flat = _over_gaps(flows[inside])
-            moved = np.einsum("kij,kj->ki", ahead, z[at]) + np.einsum(
-                "kij,kj->ki", flat, w[inside].reshape(len(at), -1)
-            )
-            terms = np.einsum("kij,kj->ki", np.abs(ahead), np.abs(z[at]))
-            terms += np.einsum("kij,kj->ki", np.abs(flat), np.abs(w[inside]).reshape(len(at), -1))
+            moved = products(ahead, z[at]) + products(flat, w[inside].reshape(len(at), -1))
+            terms = products(np.abs(ahead), np.abs(z[at]))
+            terms += products(np.abs(flat), np.abs(w[inside]).reshape(len(at), -1))
             terms = np.maximum(terms, LAST_DIGIT / CLOSED * np.abs(flat).sum(axis=2))
             unit, left = terms.clip(1e-300), z[at + 1] - moved
             change = _least_change(flat / unit[:, :, None], left / unit)
-            open_still = np.abs(left - _times(flat, change))
+            open_still = np.abs(left - products(flat, change))
             change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
             w[inside] += change.reshape(len(at), count, -1)
         ahead, flat = _over_gaps(flows[None, ends[-2] :])
@@ -197,13 +195,8 @@ def _least_change(rows: Array, wanted: Array) -> Array:
         return np.zeros((len(rows), rows.shape[2]))
     U, s, V = np.linalg.svd(rows, full_matrices=False)
     regular = s > np.finfo(float).eps * max(rows.shape[1:]) * s[:, :1]
-    part = np.divide(_times(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=regular)
-    return _times(np.swapaxes(V, 1, 2), part)
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    """One product (K, n) of each matrix (K, n, m) and its vector (K, m)."""
-    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))
+    part = np.divide(products(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=regular)
+    return products(np.swapaxes(V, 1, 2), part)
 
 
 def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:

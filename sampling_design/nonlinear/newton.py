@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sampling_design.nonlinear.window_forms import LocalForms, ProgramPoint, WindowData, WindowFunctions, WindowSolution
+from sampling_design.numerics.linalg import products
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import processor_seconds
 
@@ -293,12 +294,12 @@ class _QuadraticModel:
         closed = found.over[:, :, :one] - found.over[:, :, one:] @ found.w_gains
         for k in range(K):
             moves[k + 1] = closed[k].dot(moves[k])
-        w = found.w_moves - _times(found.w_gains, moves[:-1])
-        v = found.v_moves - _times(found.v_gains, moves)
-        forces = _times(found.values, moves)
-        by_w = _times(self.interval[:, one:], np.concatenate([moves[:-1], w], axis=1))
-        by_w += _times(self.over[:, :, one:].transpose(0, 2, 1), forces[1:])
-        by_v = _times(self.node[:, one:], np.concatenate([moves, v], axis=1))
+        w = found.w_moves - products(found.w_gains, moves[:-1])
+        v = found.v_moves - products(found.v_gains, moves)
+        forces = products(found.values, moves)
+        by_w = products(self.interval[:, one:], np.concatenate([moves[:-1], w], axis=1))
+        by_w += products(self.over[:, :, one:].transpose(0, 2, 1), forces[1:])
+        by_v = products(self.node[:, one:], np.concatenate([moves, v], axis=1))
         return QuadraticMinimum(moves, w, v, by_w, by_v, forces)
 
     def interior(self, near: QuadraticMinimum) -> ActiveBounds | None:
@@ -415,11 +416,6 @@ def _bent(forms: Array, n: int, steep: Array, linear: Array) -> Array:
     bent[:, n, each] += linear
     bent[:, each, n] += linear
     return bent
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Return each matrix times its vector."""
-    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _last(box: ProgramPoint, pieces: int) -> ProgramPoint:

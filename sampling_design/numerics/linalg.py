@@ -293,3 +293,8 @@ def extrapolated(before: Array, tried: Array, found: Array) -> Array:
     step, last = found - tried, tried - before
     ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
     return np.asarray(np.maximum(tried, tried + step * (1 / (1 - ratio) if 0 < ratio < 1 else 2.0)))
+
+
+def products(matrices: Array, vectors: Array) -> Array:
+    """Return one product (K, n) of each matrix (K, n, m) and its vector (K, m)."""
+    return np.asarray(np.matmul(matrices, vectors[:, :, None])[:, :, 0])

@@ -17,7 +17,7 @@ from sampling_design.records import checks
 from sampling_design.records.record import Plain, PlainRecord, Record, short
 from sampling_design.schedules.jitter import TimingTolerance
 
-UNSETTLED = ("budget", "interrupted", "rounding", "timing", "too many states", "sampled")
+UNSETTLED = ("budget", "interrupted", "rounding", "units", "timing", "too many states", "sampled")
 """Of a search: what ends it with a bracket that is wider than was asked."""
 SHARE = 0.01  # of the least gap: how early or late samples are taken to be where nobody says
 Bracket = TypeVar("Bracket", bound="SigmaBracket")

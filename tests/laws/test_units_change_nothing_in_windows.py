@@ -141,3 +141,19 @@ def test_sigma_is_proven_where_units_of_states_are_far_apart(seed):
         least = min(least, 1 / np.linalg.norm(D[:, None] * np.linalg.pinv(rows, rcond=1e-15), 2))
     assert 0.99 * found.upper <= found.lower <= least * (1 + 1e-9)
     assert found.upper <= least * 1.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_so_it_is_over_all_schedules(seed):
+    rng = np.random.default_rng(seed)
+    n, D = 2 + seed % 2, 10.0 ** rng.permutation([-5.0, 0.0, 3.0])
+    A, C, D = rng.normal(size=(n, n)), rng.normal(size=(1, n)), D[:n]
+    A = (A - A.T, A - np.eye(n) * (np.linalg.eigvals(A).real.max() - 0.1), np.diag(np.ones(n - 1), 1))[seed % 3]
+    late = (0.0, 0.02)[seed % 2]
+    family = SpacedWindows(window=2.0, count=n + 1, spacing=0.3)
+    found = worst_case_sigma(Plant(A * D[:, None] / D, C / D), family, timing_tolerance=late, rtol=0.05)
+    assert 0.9 * found.upper <= found.lower
+    for _ in range(200):
+        taus = np.sort(rng.uniform(0.0, 2.0 - n * 0.3, n + 1)) + 0.3 * np.arange(n + 1)
+        rows = (C @ expm(A * (taus + late * rng.uniform(0, 2, n + 1))[:, None, None])).reshape(-1, n)
+        assert found.lower <= (1 + 1e-9) / np.linalg.norm(D[:, None] * np.linalg.pinv(rows, rcond=1e-15), 2)

@@ -31,6 +31,7 @@ from sampling_design.observability.worst_case.spaced_search import (
 )
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.observability.worst_case.spaced_times import has_few_times, prove_by_times
+from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -47,12 +48,14 @@ from sampling_design.schedules.spaced_windows import SpacedWindows
 MOST_MEMORY = 2.0  # GiB that a search over the times of all samples may take
 _PROOF = 0.25  # of the budget: what the proof has in any case, however long a busy machine took for the search
 LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
+APART = 2.0**10  # units of states that doubles take as they are
 RTOL = 0.01  # default width of the bracket, relative
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
     "interrupted": "the search was interrupted before the bracket closed",
     "rounding": "rounding keeps the bracket open; scale the plant",
+    "units": "units of states that are far apart keep the bracket open; give the plant scales",
     "too many states": f"a proof by directions is not tried beyond {MOST_STATES} states; retain fewer of them",
 }
 
@@ -93,7 +96,7 @@ class WorstCaseSigma(SigmaBracket):
         Unit state at the window's start that `witness` sees least.
     status : str
         Why the search ended: "closed", "too few samples", "below rounding", "budget", "interrupted", "rounding",
-        "too many states" or "no states".
+        "units", "too many states" or "no states".
     method : str
         What `lower` rests on, in words.
     cells : int
@@ -379,12 +382,28 @@ def _bracketed(
     rng: np.random.Generator,
     progress: Progress | None,
 ) -> WorstCaseSigma:
-    """The record for one plant in its own coordinates."""
-    rows = SpacedRows(plant, family.window, family.count, family.spacing, late)
+    """The record for one plant in its own coordinates.
+
+    Where rounding keeps it open, it is proven for states z, x = D z, that are balanced as far as their units are more
+    than `APART` apart: |O x| >= sigma_z |z| and |z| >= |x|/max D.
+    """
+    rows, budget = SpacedRows(plant, family.window, family.count, family.spacing, late), Budget(seconds)
     if plant.n_states == 0:
         found = AttainedSchedule(np.inf, np.zeros(rows.count), np.zeros(0))
         return _record(rows, family, late, rtol, SphereBounds(np.inf, found, "no states", 0), "no states")
-    return _record(rows, family, late, rtol, *_proof(rows, rtol, seconds, rng, progress))
+    record = _record(rows, family, late, rtol, *_proof(rows, rtol, seconds, rng, progress))
+    D = balanced_schur(plant.A, plant.C).d if record.status in ("rounding", "below rounding") else np.ones(1)
+    if np.ptp(D) == 0:
+        return record
+    D = np.minimum(D.max(), D * APART)
+    balanced = Plant(plant.A * D / D[:, None], plant.C * D, time_unit=plant.time_unit)
+    rows = SpacedRows(balanced, family.window, family.count, family.spacing, late)
+    proof, method = _proof(rows, rtol, budget.left, rng, progress)
+    lower = min(proof.lower / float(D.max()), record.upper)
+    if lower <= record.lower:
+        return record
+    status = "closed" if lower >= (1 - rtol) * record.upper else "units"
+    return replace(record, lower=lower, status=status, method=f"{method}, of balanced states", cells=proof.cells)
 
 
 def _proof(

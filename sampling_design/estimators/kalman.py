@@ -11,14 +11,14 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
-from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
+from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import MeasuredSample, Recorder, SolvedSample
+from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     ROUNDING,
@@ -114,18 +114,16 @@ class KalmanFilter(WindowedEstimator):
         self.state = self.initial_state(prior, prior_time)
 
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
-        y, mask, feedthrough = self.reader.read(state, sample)
-        last, weights = state.last, self.weights
-        (flow,) = self.table.get([sample.t - last.t])
-        drift = self.loop.drift.between(state, last.t, sample.t)
+        new, last, weights = self._incoming(state, sample), state.last, self.weights
+        y, mask, feedthrough, flow, drift = new.y, new.mask, new.feedthrough, new.flow, new.drift
         with np.errstate(over="ignore", invalid="ignore"):
             x, Y, before = self.loop.propagated(last, flow, drift)
         self.loop.refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
-        measured, begun = MeasuredSample(sample, y, mask, feedthrough), state.nodes[0].t
+        begun = state.nodes[0].t
         if means_of(sample):
-            return self._with_means(state, measured, (flow, drift))
+            return self._with_means(state, new)
         own = float(self.bounds.of_samples(mask[None])[0])
         terms = before + own
         if too_large(innovation):
@@ -133,7 +131,7 @@ class KalmanFilter(WindowedEstimator):
             found, note = overflowed(self.weights, state.last, sample, residual, terms)
             x, Y, beta = self.loop.ahead(last, flow, drift)
             solved = SolvedSample(x, Y, found._replace(beta=beta), "filter", note)
-            return self.recorder.node(state, measured, (flow, drift), solved, begun)
+            return self.recorder.node(state, new, solved, begun)
         terms += rounding_energy(self.weights, y, x)
         spread, step, half = root_update(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
@@ -145,13 +143,11 @@ class KalmanFilter(WindowedEstimator):
                 contradiction=self._contradiction(sample, last.number + 1, (half, cost), (terms, own))
             )
         solved = SolvedSample(x, Y, found, "filter", cost=past + cost)
-        return self.recorder.node(state, measured, (flow, drift), solved, begun)
+        return self.recorder.node(state, new, solved, begun)
 
-    def _with_means(
-        self, state: EstimatorState, measured: MeasuredSample, last_gap: tuple[GapFlow, Array]
-    ) -> HistoryNode:
+    def _with_means(self, state: EstimatorState, new: IncomingNode) -> HistoryNode:
         """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""
-        nodes, last, (sample, y, mask, feedthrough, _) = state.nodes, state.last, measured
+        nodes, last, sample = state.nodes, state.last, new.sample
         since = min(begun for _, begun, _ in means_of(sample))
         at = state.node_before(since)
         for node in reversed(nodes):
@@ -160,7 +156,7 @@ class KalmanFilter(WindowedEstimator):
                 at = state.node_before(begun)
         first = nodes[at]
         start = WindowStart(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
-        window = self._window(state, start, sample, (y, mask, feedthrough))
+        window = self._window(state, start, new)
         solution, passed = smooth(window), float(window.discount[0])
         terms = (
             scaled_bound(first.beta, passed)
@@ -179,7 +175,7 @@ class KalmanFilter(WindowedEstimator):
         past = 0.0 if first.sample.y is None else first.estimate.cost * passed
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
         solved = SolvedSample(x, Y, found, "filter", cost=past + solution.cost)
-        return self.recorder.node(state, measured, last_gap, solved, nodes[0].t)
+        return self.recorder.node(state, new, solved, nodes[0].t)
 
     def _contradiction(
         self, sample: RecordRow, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
@@ -222,7 +218,7 @@ class KalmanFilter(WindowedEstimator):
             return EstimateRecord.collect(self.plant, [])
         first, last = nodes[0], nodes[-1]
         start = WindowStart(first.t, first.x, first.beta, None, nodes[1:-1])
-        window = fresh._window(fresh.state, start, last.sample, (last.y, last.mask, last.feedthrough))
+        window = fresh._window(fresh.state, start, last)
         found, said = smooth(window), last.estimate
         at = {t: j for j, t in enumerate(window.times.tolist())}
         covariances, estimates = found.spread.covariances(), []

@@ -16,12 +16,12 @@ from sampling_design.estimators.constraints.constraints import Constraints, Wind
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import problem_as_written, solve_constrained
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
-from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
+from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.evidence import SUSPECTS
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import MeasuredSample, Recorder, SolvedSample
+from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim, choose_horizon
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
@@ -231,11 +231,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         at = self.state.node_before(when)
         if at < 0 or nodes[at].t != when or nodes[at].sample.y is None or when < nodes[-1].t - self.horizon:
             raise ArgumentError(f"`t` must be the time of a sample of the last horizon, got {when!r}.")
-        node, state = nodes[at], EstimatorState(nodes[:at], self.state.inputs)
+        state = EstimatorState(nodes[:at], self.state.inputs)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, when)
-        window = self._window(state, start, node.sample, (node.y, node.mask, node.feedthrough), node.limits)
-        return problem_as_written(window, self.constraints)
+        return problem_as_written(self._window(state, start, nodes[at]), self.constraints)
 
     def _solve(self, window: EstimationWindow) -> WindowEstimate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is not finite
@@ -248,35 +247,24 @@ class MovingHorizonEstimator(WindowedEstimator):
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         t = sample.t
         self._prepare(state, t)
-        measured = y, mask, feedthrough = self.reader.read(state, sample)
-        last_gap = self.loop.between(state, state.last.t, t)
-        scheduled = self.claim.fits(state, t, mask)
-        limits = self._limited(sample, feedthrough)
+        new = self._limited(self._incoming(state, sample))
+        scheduled = self.claim.fits(state, t, new.mask)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, t)
             free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
-            solved = self._slid_window(state, start, t, measured, last_gap) if free else None
+            solved = self._slid_window(state, start, new) if free else None
         if solved is None:
-            solved = self._solved(state, start, sample, measured, last_gap, limits)
+            solved = self._solved(state, start, new)
         solved.x.flags.writeable = solved.Y.flags.writeable = False
-        taken = MeasuredSample(sample, y, mask, feedthrough, limits)
-        node = self.recorder.node(state, taken, last_gap, solved, start.s, scheduled)
+        node = self.recorder.node(state, new, solved, start.s, scheduled)
         self._histories.keep(node)
         return node
 
-    def _solved(
-        self,
-        state: EstimatorState,
-        start: WindowStart,
-        sample: RecordRow,
-        measured: tuple[Array, Array, Array],
-        last_gap: tuple[GapFlow, Array],
-        limits: Array | None = None,
-    ) -> SolvedSample:
+    def _solved(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample:
         """Return what the window says, put together and solved as a whole."""
-        last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
+        last, sample, flow, drift, engine, cost = state.last, new.sample, new.flow, new.drift, "", np.nan
         self.loop.refuse_overflow(flow, self.loop.moved(last, flow, drift), sample.t)
-        window = self._window(state, start, sample, measured, limits)
+        window = self._window(state, start, new)
         terms = scaled_bound(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
         if too_large(window.weighted(window.residual)):
             terms += window.total(self._kept_energy(window.masks))

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints, WindowConstraints, narrowed
 from sampling_design.estimators.kalman import KalmanFilter
-from sampling_design.estimators.online.estimate import Estimate, changed
-from sampling_design.estimators.online.history import EstimatorState
 from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
-
-
-class CentredRecorder(Recorder):
-    """Moves every estimate into the middle of what data and bounds leave possible."""
-
-    def proven(self, state: EstimatorState, at: int, estimate: Estimate) -> Estimate:
-        """Return the middle of the interval, the prior as it is."""
-        filtered = super().proven(state, at, estimate)
-        if filtered.status == "prior":
-            return filtered
-        moved = filtered.centred()
-        return changed(moved, engine="set", note="" if moved.certified else moved.note, cost=np.nan)
 
 
 class SetMembershipEstimator(KalmanFilter):
@@ -99,5 +84,5 @@ class SetMembershipEstimator(KalmanFilter):
         assumed, given = self.recorder.assumed, Constraints() if constraints is None else constraints
         assert assumed is not None
         narrow = narrowed(assumed, WindowConstraints(self.table, given))
-        self.prepare(CentredRecorder(self.loop, self.claim, narrow), input_side)
+        self.prepare(Recorder(self.loop, self.claim, narrow, centred=True), input_side)
         self.start(prior, prior_time)

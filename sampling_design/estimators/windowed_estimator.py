@@ -16,14 +16,14 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.constraints.constraints import WindowConstraints
 from sampling_design.estimators.constraints.convex_set import all_inside
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode
 from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
 from sampling_design.estimators.online.recorder import SolvedSample
 from sampling_design.estimators.online.verdict import judged, rounding, scaled_bound
 from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
-from sampling_design.estimators.window.sliding import IncomingNode, InitialNode
+from sampling_design.estimators.window.sliding import InitialNode
 from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records.arrays import Array
@@ -58,7 +58,7 @@ class WindowedEstimator(LinearPlantEstimator):
         self._histories = BandCache(self.weights, self.bounds.of_samples)
         self._slides = True
         if self.check_spacing is not None and self.constraints.x is not None:
-            self._between = CheckPoints(self.loop.table, self.loop.drift, self.check_spacing)
+            self._between = CheckPoints(self.loop.table, self.check_spacing)
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
@@ -126,28 +126,18 @@ class WindowedEstimator(LinearPlantEstimator):
             self.loop.refuse_overflow(flow, np.array([np.inf]), s)
         return x, Y, beta
 
-    def _slid_window(
-        self,
-        state: EstimatorState,
-        start: WindowStart,
-        t: float,
-        measured: tuple[Array, Array, Array],
-        last_gap: tuple[GapFlow, Array],
-    ) -> SolvedSample | None:
+    def _slid_window(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample | None:
         """Return what the window says, from what is remembered of it; None where that is no use or a constraint acts.
 
         Numbers that overflow are looked at, so that numpy need not tell of them.
         """
-        if not self._slides or t <= start.s:
+        initial, nodes, s, t = None, state.nodes, start.s, new.t
+        if not self._slides or t <= s:
             return None
-        initial, nodes, s = None, state.nodes, start.s
         first = len(nodes) - len(start.inside)
         while first < len(nodes) and nodes[first].t <= s:
             initial, first = nodes[first], first + 1
-        sample = None if initial is None else (initial.y, initial.mask, initial.feedthrough)
         prior = self._fixed_prior if start.root is None else start.root @ start.root.T
-        flow, drift = last_gap
-        new = IncomingNode(t, *measured, flow, drift)
         held = self._histories.of(nodes, first)
         if held is None:
             return None
@@ -159,11 +149,11 @@ class WindowedEstimator(LinearPlantEstimator):
             node = nodes[first]
             own = node.flow if first > 0 and nodes[first - 1].t == s else None
             gap = self.loop.between(state, s, node.t) if own is None else (own, node.drift)
-            reference = flow.F.dot(nodes[-1].x) + drift
+            reference = new.flow.F.dot(nodes[-1].x) + new.drift
         if not sliding.append(new, reference, predicted=first < len(nodes)):
             return None
         self._histories.begun(sliding)
-        begun, limited = InitialNode(s, start.x, prior, sample), self.constraints.active
+        begun, limited = InitialNode(s, start.x, prior, initial), self.constraints.active
         optimum = sliding.solve(at, begun, gap, limited)
         if optimum is None:
             return None
@@ -199,10 +189,11 @@ class WindowedEstimator(LinearPlantEstimator):
             masks = masks * (np.arange(len(masks)) == end)[:, None]
         return window.total(self.bounds.of_samples(masks))
 
-    def _limited(self, sample: RecordRow, feedthrough: Array) -> Array | None:
-        """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
+    def _limited(self, new: IncomingNode) -> IncomingNode:
+        """Return a sample with what C x lies between, as limits of detection say: y = C x + D u + v, |v| bounded."""
+        sample, feedthrough = new.sample, new.feedthrough
         if not sample.censored or self.bounds.v is None or all(each.since is not None for each in sample.censored):
-            return None
+            return new
         noise = np.broadcast_to(self.bounds.v, feedthrough.shape)
         found = np.array([np.full(feedthrough.size, -np.inf), np.full(feedthrough.size, np.inf)])
         for each in sample.censored:
@@ -212,35 +203,24 @@ class WindowedEstimator(LinearPlantEstimator):
                 found[1, i] = min(found[1, i], each.upper - feedthrough[i] + noise[i])
         torn = found[0] > found[1]  # what two limits contradict, the interval tells
         found[0, torn], found[1, torn] = -np.inf, np.inf
-        return found if np.isfinite(found).any() else None
+        return new._replace(limits=found) if np.isfinite(found).any() else new
 
     @cached_property
     def _integrals(self) -> IntegralFlows:
         return IntegralFlows(self.weights, self.table.constant_w)
 
-    def _window(
-        self,
-        state: EstimatorState,
-        start: WindowStart,
-        sample: RecordRow,
-        measured: tuple[Array, Array, Array],
-        limits: Array | None = None,
-    ) -> EstimationWindow:
-        """Return the window problem from `start` to a sample, `measured` = (y, mask, D u), with `limits` of C x."""
-        t = sample.t
+    def _window(self, state: EstimatorState, start: WindowStart, new: IncomingNode | HistoryNode) -> EstimationWindow:
+        """Return the window problem from `start` to a sample."""
+        t, zero = new.t, np.zeros(self.plant.n_outputs)
         inside = [node for node in start.inside if node.t > start.s]
-        initial = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
-        times = [start.s, *(node.t for node in inside)]
-        rows = [(node.y, node.mask, node.feedthrough) for node in inside]
-        if t > start.s:
-            times.append(t)
-            rows.append(measured)
-        else:
-            initial = measured
-        zero = np.zeros(self.plant.n_outputs)
-        rows.insert(0, initial or (zero, zero, zero))
+        first: IncomingNode | HistoryNode | None = next((node for node in start.inside if node.t <= start.s), None)
+        later: list[IncomingNode | HistoryNode] = [*inside, new] if t > start.s else [*inside]
+        first = first if t > start.s else new
+        times = [start.s, *(node.t for node in later)]
+        rows = [(zero, zero, zero) if first is None else (first.y, first.mask, first.feedthrough)]
+        rows += [(node.y, node.mask, node.feedthrough) for node in later]
         flows, drift, reference = self._path(state, start, inside, times)
-        came = [*(node.sample for node in inside), sample]
+        came = [*(node.sample for node in inside), new.sample]
         read = [(node.t, *mean) for node in came for mean in means_of(node) if mean[1] >= start.s]
         begun = sorted({since for _, _, since, _ in read} - set(times))
         checked = self.check_spacing is not None and self.constraints.x is not None
@@ -248,7 +228,7 @@ class WindowedEstimator(LinearPlantEstimator):
             times, rows, flows, drift, reference = self._refined(state, times, rows, reference, begun, checked)
         y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
         censored = {node.t: node.limits for node in start.inside if node.limits is not None}
-        censored |= {} if limits is None else {t: limits}
+        censored |= {} if new.limits is None else {t: new.limits}
         free = np.array([np.full(self.plant.n_outputs, -np.inf), np.full(self.plant.n_outputs, np.inf)])
         window = build_window(
             weights=self.weights,
@@ -278,13 +258,13 @@ class WindowedEstimator(LinearPlantEstimator):
             return [], np.zeros((0, n)), start.x[None]
         first, last = times[1] - times[0], times[-1] - times[-2]
         ends = self.table.get([first, last])
-        drift_first = self.loop.drift.between(state, times[0], times[1])
+        drift_first = state.drift(self.table, times[0], times[1])
         if not inside:
             flows, drift = ends[:1], [drift_first]
         else:
             flows = [ends[0], *(node.flow for node in inside[1:] if node.flow is not None), ends[1]]
             drift = [drift_first, *(node.drift for node in inside[1:])]
-            drift.append(self.loop.drift.between(state, times[-2], times[-1]))
+            drift.append(state.drift(self.table, times[-2], times[-1]))
         known = [start.x, *(node.x for node in inside)]
         known.append(flows[-1].F @ known[-1] + drift[-1])
         return flows, np.array(drift), np.array(known)
@@ -308,7 +288,7 @@ class WindowedEstimator(LinearPlantEstimator):
                 between |= {times[j] + k * (t - times[j]) / count for k in range(1, count)}
             for when in [*sorted(between), t]:
                 last = when == t
-                drift.append(self.loop.drift.between(state, edges[-1], when))
+                drift.append(state.drift(self.table, edges[-1], when))
                 flow = self.table.one(when - edges[-1])
                 path.append(reference[j + 1] if last else flow.F @ path[-1] + drift[-1])
                 edges.append(when)

@@ -56,8 +56,7 @@ def last_window(options=None):
     mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **(options or {}))
     t, y, _ = next(warm(mhe))
     state = mhe.state
-    sample = RecordRow(t, y)
-    return mhe, mhe._window(state, mhe._start(state, t), sample, mhe.reader.read(state, sample))
+    return mhe, mhe._window(state, mhe._start(state, t), mhe._incoming(state, RecordRow(t, y)))
 
 
 def fresh(window):

@@ -192,7 +192,7 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
     assert "constraints.x" in estimate.note or "constraints.w" in estimate.note
     assert "more)" in estimate.note
     assert not estimate.certified
-    kick = mhe.loop.drift.between(mhe.state, 1.0, 1.5)
+    kick = mhe.state.drift(mhe.table, 1.0, 1.5)
     assert np.allclose(estimate.x, DRIVEN.transition(0.5) @ fine.x + kick)
     assert mhe.update(2.5, [0.0, 0.0]).status == "infeasible"
     after = mhe.update(4.5, [0.1, 0.1])
@@ -275,7 +275,7 @@ def test_inputs_hold_and_the_input_side_is_stated():
     assert right.state.last.feedthrough.tolist() == [-0.5, 0.0]
     assert left.state.last.feedthrough.tolist() == [0.5, 0.0]
     steady = right.predict(1.0 + 2 * math.pi)
-    drift = right.loop.drift.between(right.state, 1.0, 1.0 + 2 * math.pi)
+    drift = right.state.drift(right.table, 1.0, 1.0 + 2 * math.pi)
     assert np.max(np.abs(drift)) < 1e-12
     assert steady.status == "predicted"
 

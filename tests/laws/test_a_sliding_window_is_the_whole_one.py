@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
@@ -31,11 +30,10 @@ class Watched(MovingHorizonEstimator):
     slid = 0
     worst = 0.0
 
-    def _slid_window(self, state, start, t, measured, last_gap):
-        found = super()._slid_window(state, start, t, measured, last_gap)
+    def _slid_window(self, state, start, new):
+        found = super()._slid_window(state, start, new)
         if found is not None:
-            seen = np.where(measured[1] > 0, measured[0], np.nan)
-            whole = self._solved(state, start, RecordRow(t, seen), measured, last_gap)
+            whole = self._solved(state, start, new)
             self.slid += 1
             self.worst = max(self.worst, difference(found, whole))
         return found

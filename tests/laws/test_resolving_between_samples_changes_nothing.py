@@ -7,6 +7,7 @@ from sampling_design import Constraints, Plant
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.estimators.online.history import IncomingNode
 
 PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], B=[[0.0], [1.0], [0.2]])
 
@@ -15,7 +16,8 @@ def resolved(mhe, t):
     """Solve the window problem from the last window's start to t, where nothing is measured."""
     start = mhe._start(mhe.state, mhe.state.last.t)
     nothing = np.zeros(PLANT.n_outputs)
-    window = mhe._window(mhe.state, start, RecordRow(t), (nothing, nothing, nothing))
+    gap = mhe.loop.between(mhe.state, mhe.state.last.t, t)
+    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, *gap))
     return window, mhe._solve(window)
 
 
@@ -40,7 +42,7 @@ def test_estimate_is_the_open_loop_from_the_last_solve_and_the_past_stays(cost, 
             assert np.max(np.abs(again.nodes[0] - at_sample.nodes[0])) < 1e-7
             assert np.max(np.abs(again.covariance - predicted.covariance)) < 1e-9 * np.max(predicted.covariance)
             assert again.cost == pytest.approx(mhe.state.last.estimate.cost * np.exp(-0.4 * delta), rel=1e-9)
-            drift = mhe.loop.drift.between(mhe.state, t, t + delta)
+            drift = mhe.state.drift(mhe.table, t, t + delta)
             omega = again.nodes[-1] - PLANT.transition(delta) @ again.nodes[-2] - drift
             assert np.max(np.abs(omega)) < 1e-9
 

@@ -15,6 +15,7 @@ from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFl
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.checks import freeze
 
 CONDITION_LIMIT = 1e6
 """W_h is inverted only while its correlation matrix's inverse has a trace below this: six digits lost of sixteen."""
@@ -166,6 +167,7 @@ class FlowTable:
 
     def __init__(self, weights: CostWeights, constant_w: bool = False):
         self.weights, self.constant_w = weights, constant_w
+        self.no_drift = freeze(np.zeros(weights.plant.n_states))  # what inputs add where there are none
         self._table: OrderedDict[float, GapFlow] = OrderedDict()
         self._flow = ComposedFlow(weights.plant.A, weights.noise, weights.eta, weights.units)
 

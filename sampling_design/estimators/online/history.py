@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from operator import attrgetter, itemgetter
 from typing import NamedTuple, overload
@@ -16,7 +15,9 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+
+_time = attrgetter("t")
+_first = itemgetter(0)
 
 DEEPEST = 32  # branches of a history one within the other
 
@@ -72,6 +73,22 @@ class StateBox(NamedTuple):
 
     within: BoundedSet
     until: float
+
+
+class IncomingNode(NamedTuple):
+    """A sample on its way in, as the equations take it: y with 0 where it is missing, the mask of 0 and 1, and D u.
+
+    `flow` and `drift` lead here from the node before; `limits` (2, p) are what C x lies between.
+    """
+
+    t: float
+    sample: RecordRow
+    y: Array
+    mask: Array
+    feedthrough: Array
+    flow: GapFlow
+    drift: Array
+    limits: Array | None = None
 
 
 class HistoryNode(NamedTuple):
@@ -246,6 +263,31 @@ class EstimatorState(NamedTuple):
         k = self.inputs.before(t) - 1
         return self.inputs[k][1] if k >= 0 else None
 
+    def drift(self, table: FlowTable, a: float, b: float) -> Array:
+        """Return int_a^b e^{A(b - s)} B u(s) ds, the inputs' part of a transition; u is zero before the first input."""
+        inputs = self.inputs
+        if inputs is NO_INPUTS or b <= a or not len(inputs):
+            return table.no_drift
+        total, start = table.no_drift, a
+        if self.reached is not None and self.reached[0] == a and self.reached[1] <= b:
+            _, start, total = self.reached
+            if start == b:
+                return total
+        holding, changes = inputs.between(start, b)
+        if not changes and total is table.no_drift:  # as most often
+            return total if holding is None else table.one(b - start).inputs.dot(holding)
+        edges = [start, *(t for t, _ in changes), b]
+        if changes:
+            table.known([right - left for left, right in pairwise(edges)])  # in one batch
+        for (left, right), u in zip(pairwise(edges), (holding, *(u for _, u in changes)), strict=True):
+            flow = table.one(right - left)
+            if total is not table.no_drift:
+                total = flow.F.dot(total)
+            if u is not None:
+                own = flow.inputs.dot(u)
+                total = own if total is table.no_drift else total + own
+        return total
+
     def trimmed(self, memory: float, least: int = 0) -> EstimatorState:
         """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
         nodes, inputs = self.nodes, self.inputs
@@ -257,45 +299,3 @@ class EstimatorState(NamedTuple):
             return EstimatorState(nodes)
         keep = max(0, inputs.until(nodes[0].t) - 2)
         return EstimatorState(nodes, inputs.since(keep) if keep else inputs)
-
-
-_time = attrgetter("t")
-_first = itemgetter(0)
-
-
-@dataclass(frozen=True)
-class InputDrift:
-    """The inputs' part of a transition: int_a^b e^{A(b - s)} B u(s) ds for the inputs of a state."""
-
-    table: FlowTable
-    none: Array
-
-    @classmethod
-    def of(cls, table: FlowTable) -> InputDrift:
-        """Return that of the inputs of a table's plant."""
-        return cls(table, freeze(np.zeros(table.weights.plant.n_states)))
-
-    def between(self, state: EstimatorState, a: float, b: float) -> Array:
-        """Return the integral over [a, b]; u is zero before the first input."""
-        inputs = state.inputs
-        if inputs is NO_INPUTS or b <= a or not len(inputs):
-            return self.none
-        total, start = self.none, a
-        if state.reached is not None and state.reached[0] == a and state.reached[1] <= b:
-            _, start, total = state.reached
-            if start == b:
-                return total
-        holding, changes = inputs.between(start, b)
-        if not changes and total is self.none:  # as most often
-            return total if holding is None else self.table.one(b - start).inputs.dot(holding)
-        edges = [start, *(t for t, _ in changes), b]
-        if changes:
-            self.table.known([right - left for left, right in pairwise(edges)])  # in one batch
-        for (left, right), u in zip(pairwise(edges), (holding, *(u for _, u in changes)), strict=True):
-            flow = self.table.one(right - left)
-            if total is not self.none:
-                total = flow.F.dot(total)
-            if u is not None:
-                own = flow.inputs.dot(u)
-                total = own if total is self.none else total + own
-        return total

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -14,13 +15,14 @@ from sampling_design.accuracy.record_readings import censored_together
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import EstimatorState, StateBox
+from sampling_design.estimators.online.history import EstimatorState, IncomingNode, StateBox
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder, SampleReader
+from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.checks import freeze
 
 
 class LinearPlantEstimator(OnlineEstimator):
@@ -36,7 +38,6 @@ class LinearPlantEstimator(OnlineEstimator):
         Those on w, v and the first error.
     claim : ScheduleClaim
         Whether what a certificate says holds of the samples so far.
-    reader : SampleReader
     """
 
     _table: ClassVar[Mapping[str, str]] = {
@@ -49,7 +50,6 @@ class LinearPlantEstimator(OnlineEstimator):
     loop: OpenLoop
     bounds: ErrorBounds
     claim: ScheduleClaim
-    reader: SampleReader
     weighs_means: bool = False
     """Whether a composite sample is a row of what is minimised, so that it says something without bounds."""
 
@@ -63,7 +63,9 @@ class LinearPlantEstimator(OnlineEstimator):
         if self.plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
         checks.word("input_side", input_side, ("right", "left"))
-        self.input_side, self.reader = input_side, SampleReader(self.plant, input_side)
+        self.input_side, self.before = input_side, input_side == "left"
+        self._direct = bool(self.plant.D.any())  # whether an input enters a measurement at once
+        self._nothing, self._everything = freeze(np.zeros(self.plant.n_outputs)), freeze(np.ones(self.plant.n_outputs))
         self.remembered = REMEMBERED if recorder.assumed is not None else 0
 
     def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
@@ -80,6 +82,16 @@ class LinearPlantEstimator(OnlineEstimator):
         x = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
         return EstimatorState((self.recorder.prior(t, x),))
 
+    def _incoming(self, state: EstimatorState, sample: RecordRow) -> IncomingNode:
+        """Return a sample as the equations take it, after the last node of a state."""
+        y, mask = sample.y, self._everything
+        u = state.input_at(sample.t, before=self.before) if self._direct else None
+        if not math.isfinite(sum(y.tolist())):
+            measured = np.isfinite(y)
+            y, mask = np.where(measured, y, 0.0), measured.astype(np.float64)
+        flow, drift = self.loop.between(state, state.last.t, sample.t)
+        return IncomingNode(sample.t, sample, y, mask, self._nothing if u is None else self.plant.D @ u, flow, drift)
+
     def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
         return self.recorder.proven(state, node, state.nodes[node].estimate)
 
@@ -91,7 +103,7 @@ class LinearPlantEstimator(OnlineEstimator):
 
     def _after_input(self, state: EstimatorState, t: float) -> EstimatorState:
         a = state.last.t
-        return state._replace(reached=(a, t, self.loop.drift.between(state, a, t)))
+        return state._replace(reached=(a, t, state.drift(self.table, a, t)))
 
     def _resolved(self, state: EstimatorState, sample: RecordRow) -> RecordRow:
         if all(each.stamp is None for each in sample.censored):
@@ -106,7 +118,7 @@ class LinearPlantEstimator(OnlineEstimator):
             return found.lower, found.upper
 
         unread = assumed.unread(sample.t, state.inputs)
-        censored = resolved(unread, sample.t, sample.censored, known, self.reader.before, waiting=True)
+        censored = resolved(unread, sample.t, sample.censored, known, self.before, waiting=True)
         return sample._replace(censored=censored)
 
     def _settled(self, state: EstimatorState) -> EstimatorState:
@@ -121,7 +133,7 @@ class LinearPlantEstimator(OnlineEstimator):
             censored = tuple(each.as_read for each in node.sample.censored if each.since is None)
             rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, censored))
         unread = assumed.unread(first.t, state.inputs)
-        proven = censored_together(unread, rows, assumed.noise, self.reader.before)
+        proven = censored_together(unread, rows, assumed.noise, self.before)
         if proven is None:
             return state
         held = first._replace(box=StateBox(proven[0], until=last))

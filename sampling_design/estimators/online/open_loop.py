@@ -13,7 +13,7 @@ from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.evidence import EstimateAssumptions
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputDrift
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING, scaled_bound
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
@@ -86,19 +86,18 @@ class OpenLoop:
 
     def __init__(self, table: FlowTable, bounds: ErrorBounds):
         self.table, self.weights, self.bounds = table, table.weights, bounds
-        self.drift = InputDrift.of(table)
         plant = self.weights.plant
         self._undiscounted_flow = ComposedFlow(plant.A, self.weights.noise, 0.0, self.weights.units)
 
     def between(self, state: EstimatorState, a: float, b: float) -> tuple[GapFlow, Array]:
         """Return the gap from a to b and what the inputs of a state add over it."""
-        return self.table.one(b - a), self.drift.between(state, a, b)
+        return self.table.one(b - a), state.drift(self.table, a, b)
 
     def propagated(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after a gap, without a measurement."""
         beta = scaled_bound(node.beta, 1 / flow.growth) + self.bounds.over(flow.gap) if flow.gap > 0 else node.beta
         x: Array = flow.F.dot(node.x)
-        return x if drift is self.drift.none else x + drift, flow.covariance(node.Y), beta
+        return x if drift is self.table.no_drift else x + drift, flow.covariance(node.Y), beta
 
     def ahead(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after a gap: of the two ellipsoids the smaller one."""

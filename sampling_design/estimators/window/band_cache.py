@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.history import HistoryNode
-from sampling_design.estimators.window.sliding import ROOM, IncomingNode, SlidingBand
+from sampling_design.estimators.window.sliding import ROOM, SlidingBand
 from sampling_design.records.arrays import Array
 
 HISTORIES = 64  # histories of one estimator that are remembered side by side
@@ -38,9 +38,7 @@ class BandCache:
                 return band, at
         band = SlidingBand(self._weights, self._energy)
         for node in nodes[first:]:
-            if not band.append(
-                IncomingNode(node.t, node.y, node.mask, node.feedthrough, node.flow, node.drift), node.x
-            ):
+            if not band.append(node, node.x):
                 return None
             band.nodes.append(node)
         return band, 0

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow
-from sampling_design.estimators.online.history import EstimatorState, InputDrift
+from sampling_design.estimators.online.history import EstimatorState
 from sampling_design.estimators.window.sliding import OptimalTrajectory
 from sampling_design.records.arrays import Array
 
@@ -29,8 +29,8 @@ class CheckPoints:
     F_a x_0 + drift + e^{eta b} W_a F_b' W_h^-1 (x_1 - F_h x_0 - drift_h).
     """
 
-    def __init__(self, table: FlowTable, drift: InputDrift, spacing: float):
-        self._table, self._drift, self._spacing = table, drift, spacing
+    def __init__(self, table: FlowTable, spacing: float):
+        self._table, self._spacing = table, spacing
         self._known: dict[float, tuple[list[float], Array, Array] | None] = {}
 
     def states(self, state: EstimatorState, times: list[float], path: OptimalTrajectory) -> Array | None:
@@ -48,7 +48,7 @@ class CheckPoints:
             missed = path.deviation[j + 1] - flow.F.dot(path.deviation[j]) - path.defect[j]
             points = F.dot(path.nodes[j]) + bridge.dot(missed)
             if len(state.inputs):
-                points += np.array([self._drift.between(state, times[j], times[j] + a) for a in after]).reshape(
+                points += np.array([state.drift(self._table, times[j], times[j] + a) for a in after]).reshape(
                     F.shape[:2]
                 )
             found.append(points)

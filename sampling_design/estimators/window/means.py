@@ -22,7 +22,7 @@ from scipy.linalg import block_diag
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, noise_root
-from sampling_design.estimators.online.history import EstimatorState, InputDrift
+from sampling_design.estimators.online.history import EstimatorState
 from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, WindowEstimate
 from sampling_design.numerics.filtering import propagate
 from sampling_design.plants.plant import Plant
@@ -99,7 +99,6 @@ class IntegralFlows:
         prior = block_diag(weights.prior, np.diag(plant.outputs.scales**-2.0))
         self.n, self.weights = n, weights
         self.table = FlowTable(replace(weights, plant=longer, prior=prior), constant_w)
-        self._drift = InputDrift.of(self.table)
 
     def means(
         self, state: EstimatorState, times: Sequence[float], reference: Array, residual: Array, masks: Array,
@@ -120,7 +119,7 @@ class IntegralFlows:
             inside = [k for k, r in enumerate(readings) if r.begin <= j < r.end]
             if not inside:
                 continue
-            F, W, drift = flow.F, flow.W, self._drift.between(bare, times[j], times[j + 1])
+            F, W, drift = flow.F, flow.W, bare.drift(self.table, times[j], times[j + 1])
             whiten = noise_root(W[:n, :n])[1]
             gain = (W[n:, :n] @ whiten.T) @ whiten
             moved = reference[j + 1] - F[:n, :n] @ reference[j] - drift[:n]

@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
-from sampling_design.estimators.online.history import HistoryNode
+from sampling_design.estimators.online.history import HistoryNode, IncomingNode
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, CovariancePrecision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
@@ -56,23 +56,12 @@ class OutputInformation(NamedTuple):
 
 
 class InitialNode(NamedTuple):
-    """The window's start: time, prior and its covariance, and the sample taken there (y, mask, D u), if any."""
+    """The window's start: time, prior and its covariance, and the node of a sample taken there, if any."""
 
     t: float
     x: Array
     Y: Array
-    sample: tuple[Array, Array, Array] | None = None
-
-
-class IncomingNode(NamedTuple):
-    """A node on its way in: time, y, mask, D u, the gap that leads to it, and what the inputs do over it."""
-
-    t: float
-    y: Array
-    mask: Array
-    feedthrough: Array
-    flow: GapFlow | None
-    drift: Array
+    node: HistoryNode | None = None
 
 
 class WindowGains(NamedTuple):
@@ -142,7 +131,7 @@ class SlidingBand:
         self._C, self._held = weights.plant.C, np.abs(weights.prior_factor)
         self._direct = bool(weights.plant.D.any())
         self.nodes: list[HistoryNode] = []
-        self._known: list[IncomingNode] = []
+        self._known: list[IncomingNode | HistoryNode] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
@@ -187,7 +176,7 @@ class SlidingBand:
         self._latest = mask, found
         return found
 
-    def append(self, new: IncomingNode, reference: Array, predicted: bool = False) -> bool:
+    def append(self, new: IncomingNode | HistoryNode, reference: Array, predicted: bool = False) -> bool:
         """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed.
 
         `predicted`: the reference is where the gap leads from the estimate of the node before. If that is the node's
@@ -336,7 +325,7 @@ class SlidingBand:
         d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
         x, Y, size, noise, initial_noise = initial.x, initial.Y, 0.0, 0.0, 0.0
         self._places[first] = x
-        if initial.sample is not None:
+        if initial.node is not None:
             begin = math.exp(eta * (initial.t - zero))
             x, Y, size, noise, initial_noise = self._opened(initial)
             size, noise = size * begin, noise * begin
@@ -405,8 +394,8 @@ class SlidingBand:
     def samples(self, first: int, initial: InitialNode) -> tuple[Array, Array, Array]:
         """Return y - D u, the masks and D u at the samples from node `first` on, that at the window's start first."""
         rows = self._measured[first : len(self._known)]
-        if initial.sample is not None:
-            rows = np.concatenate([np.array(initial.sample)[None], rows])
+        if (node := initial.node) is not None:
+            rows = np.concatenate([np.array([[node.y, node.mask, node.feedthrough]]), rows])
         y, masks, feedthrough = rows.transpose(1, 0, 2)
         return y - feedthrough, masks, feedthrough
 
@@ -423,15 +412,15 @@ class SlidingBand:
 
     def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, float]:
         """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
-        assert initial.sample is not None
-        y, mask, feedthrough = initial.sample
-        kind = self.output_information(mask)
-        innovation = kind.root @ (y - feedthrough) - kind.rows @ initial.x
+        node = initial.node
+        assert node is not None
+        kind = self.output_information(node.mask)
+        innovation = kind.root @ (node.y - node.feedthrough) - kind.rows @ initial.x
         if self._absorbed is None or self._absorbed[0] is not initial.Y or self._absorbed[1] is not kind:
             root, gain, half = root_update(covariance_root(initial.Y), kind.rows, np.eye(innovation.size))
             self._absorbed = initial.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
-        missed, read = half.dot(innovation), kind.size @ np.abs(y)
+        missed, read = half.dot(innovation), kind.size @ np.abs(node.y)
         return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, float(read @ read)
 
 

@@ -11,7 +11,7 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of, with_proof
 from sampling_design.estimators.online.evidence import EstimateAssumptions, EstimateEvidence
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
-from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import CovariancePrecision, SolveVerdict, in_units_of, moved, passed
 from sampling_design.records.arrays import Array
@@ -41,6 +41,10 @@ class Recorder:
 
     Estimates that are handed out are moved into the middle of these where they are to be `centred`.
     """
+
+    bounds: ErrorBounds
+    claim: ScheduleClaim
+    assumed: EstimateAssumptions | None
 
     def __init__(
         self, loop: OpenLoop, claim: ScheduleClaim, assumed: EstimateAssumptions | None, centred: bool = False

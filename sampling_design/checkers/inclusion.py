@@ -33,8 +33,7 @@ from .members import JUMP, Members, bounds, joint, least, prove_jumps, together
 from .numbers import EPS, RESOLUTION, SAFE
 from .outcome import MOST_WORK, Proven, Refused, Undecided, WorkLimit, holds
 from .parts import Claim
-from .regions import Cells
-from .slopes import Parts
+from .regions import Cells, Parts
 from .strict import Array, Mask
 
 EIGENVALUES = 8  # those of an (m, m) matrix M are computed to within this times m eps |M|_F

@@ -22,8 +22,7 @@ import numpy as np
 from .inclusion_file import Box, Inclusion, Parameter, Region, Vertices
 from .numbers import EPS
 from .outcome import Refused, Undecided, WorkLimit
-from .regions import Cells
-from .slopes import Parts
+from .regions import Cells, Parts
 from .strict import Array, Index, Mask
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F

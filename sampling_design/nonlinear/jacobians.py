@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.checkers.inclusion_file import Region
 from sampling_design.checkers.inclusion_file import region as region_of
 from sampling_design.checkers.parts import Plant as FilePlant
-from sampling_design.checkers.slopes import enclosed
+from sampling_design.checkers.regions import enclosed
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.functions import casadi

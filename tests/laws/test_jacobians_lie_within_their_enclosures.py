@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 from sampling_design import NonlinearPlant
 from sampling_design.checkers.inclusion_file import region
 from sampling_design.checkers.parts import Plant
-from sampling_design.checkers.slopes import enclosed
+from sampling_design.checkers.regions import enclosed
 from sampling_design.nonlinear import examples
 from sampling_design.nonlinear.jacobians import boxes_of, jacobians_at
 from sampling_design.nonlinear.thyroid_logs import patient_in_tube

@@ -43,7 +43,13 @@ extensions = [
     "sphinxcontrib.bibtex",
     "house_pages",
 ]
-exclude_patterns = ["_build", "**/.ipynb_checkpoints", "README.md", "_static/mathjax/README.md"]
+exclude_patterns = [
+    "_build",
+    "**/.ipynb_checkpoints",
+    "made/notebooks/solved/*",
+    "README.md",
+    "_static/mathjax/README.md",
+]
 suppress_warnings = ["mystnb.unknown_mime_type"]
 nitpicky = False
 smartquotes = False  # an option is copied with its two hyphens, and a text with the quotes that a shell knows

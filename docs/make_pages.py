@@ -11,6 +11,7 @@ import ast
 import functools
 import importlib
 import inspect
+import json
 import re
 import textwrap
 import tomllib
@@ -327,10 +328,20 @@ def reports_page(reports: list[str]) -> str:
 
 
 def copy_notebooks(source: Path, target: Path) -> None:
-    """Copy the lecture notebooks beside the pages, where they are executed and shown with their outputs."""
+    """Copy the lectures beside the pages, where they are executed; each page offers its file and its solutions."""
     names = sorted(p.name for p in source.glob("*.ipynb")) if source.is_dir() else []
     for name in names:
-        write(target / name, (source / name).read_text())
+        notebook = json.loads((source / name).read_text())
+        solved = name.replace(".ipynb", "_solved.ipynb")
+        write(target / "solved" / solved, (source.parent / "teachers" / name).read_text())
+        offered = (
+            f"**To change and run it**, without a network: {{download}}"
+            f"`this notebook <../../../examples/notebooks/{name}>` "
+            f"opens in a browser by `jupyter lab {name}` ([once before](../../lectures.md): "
+            f"`pip install '.[nonlinear,notebooks]'`). {{download}}`Its exercises, solved <solved/{solved}>`."
+        )
+        notebook["cells"].insert(1, {"cell_type": "markdown", "id": "offered", "metadata": {}, "source": offered})
+        write(target / name, json.dumps(notebook, indent=1, ensure_ascii=False))
     lines = [
         "# Notebooks",
         "",

@@ -8,6 +8,7 @@ import base64
 import io
 from contextlib import redirect_stdout
 from html import escape
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,6 +31,9 @@ class FloatSlider:
         marks[np.argmin(np.abs(marks - self.value))] = self.value
         return [float(f"{mark:.6g}") for mark in marks]
 
+    def observe(self, draw, name):
+        """Nothing: what a slider of a page chooses between was drawn before."""
+
 
 def interact(show, **slider):
     """Run `show` at a few values of its slider and display them as one figure with a slider."""
@@ -44,6 +48,10 @@ def interact(show, **slider):
         f'<input type="range" min="0" max="{len(values) - 1}" value="{begin}" aria-label="{name}" oninput="{CHOOSE}">'
     )
     display(HTML(f'<div class="steps">{control}{"".join(steps)}</div>'))
+    show.widget = SimpleNamespace(update=None)
+
+
+interact.options = lambda **_: interact  # a lecture draws when its slider is moved; a page has drawn before
 
 
 def shown(show, name, value):

@@ -22,7 +22,9 @@ def sliders():
 def page_of(sliders, monkeypatch, show, **ends):
     made = []
     monkeypatch.setattr(sliders, "display", lambda shown: made.append(shown.data))
-    sliders.interact(show, gap=sliders.FloatSlider(**ends))
+    slider = sliders.FloatSlider(**ends)
+    sliders.interact.options(manual=True)(show, gap=slider)
+    slider.observe(show.widget.update, "value")
     return made[0]
 
 

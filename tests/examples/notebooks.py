@@ -18,9 +18,8 @@ from typing import Any
 
 FOLDER = Path(__file__).parents[2] / "examples" / "notebooks"
 KERNEL = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
-ASK_SECONDS = 3
 PATIENCE = 120
-"""Seconds after which a kernel is asked anew, and all that it may spend on being asked anew."""
+"""Seconds that a cell may take."""
 WATCH = f"""
 import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 from tests.kept_certificates import watch; watch(); del watch
@@ -44,19 +43,10 @@ def run_in_kernel(path: Path) -> int:
     import nbformat
     from nbclient import NotebookClient
 
-    class Patient(NotebookClient):
-        """Asks anew for an answer every few seconds: now and then a socket's wake-up is lost, and the answer waits."""
-
-        asked = 0
-
-        async def _async_handle_timeout(self, timeout: int, cell: Any = None) -> Any:
-            self.asked += 1
-            return await super()._async_handle_timeout(timeout, cell) if self.asked * timeout > PATIENCE else None
-
     os.environ.pop("MPLBACKEND", None)  # the kernel chooses its own
     notebook = nbformat.read(path, as_version=4)
     notebook.cells.insert(0, nbformat.v4.new_code_cell(WATCH))
-    client = Patient(notebook, timeout=ASK_SECONDS, kernel_name="python3")
+    client = NotebookClient(notebook, timeout=PATIENCE, kernel_name="python3")
     client.execute(cwd=str(path.parent))
     outputs = [out for cell in notebook.cells if cell.cell_type == "code" for out in cell.outputs]
     return sum("image/png" in out.get("data", {}) for out in outputs)

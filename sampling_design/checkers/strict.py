@@ -29,6 +29,8 @@ MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
 NEAR = 0.5  # twice the letters that two words share over all of theirs: from here on one is a slip for the other
 LONGEST_NAME = 60  # letters of a name that a sentence repeats
 MOST_LISTED = 12  # names that a sentence lists
+ELSEWHERE: dict[str, list[str]] = {}
+"""What others call a key, with ours: of messages only, and empty where an auditor stands alone."""
 
 
 class BadFile(Exception):
@@ -341,9 +343,10 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
 
 
 def likely(word: str, known: Collection[str]) -> str:
-    """What a word that is not known may have meant: the nearest one, or all of them where none is near."""
+    """What a word that is not known may have meant: what others call so, the nearest one, or all where none is near."""
     found = {name.casefold(): name for name in known}
-    near = difflib.get_close_matches(word[:LONGEST_NAME].casefold(), found, n=1, cutoff=NEAR)
+    near = [name for name in ELSEWHERE.get(word, ()) if name in found]
+    near = near or difflib.get_close_matches(word[:LONGEST_NAME].casefold(), found, n=1, cutoff=NEAR)
     return f"Did you mean {found[near[0]]!r}?" if near else f"Known: {listed(known)}."
 
 

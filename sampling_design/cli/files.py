@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import sampling_design as sd
 from sampling_design.checkers.check import verdict
+from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import from_json, from_toml, read_text
@@ -63,7 +64,23 @@ _WRITTEN = {
 def plant(path: Path) -> Plant:
     """The plant of a file, or of a plan."""
     whole = plan_in(path)
-    return _read("plant", sd.read_plant, path) if whole is None else whole.plant
+    if whole is not None:
+        return whole.plant
+    return _read("plant", sd.read_plant, path) if path.exists() else _named_plant(path)
+
+
+def _named_plant(path: Path) -> Plant:
+    """The plant of the library that has this name, where no file has it."""
+    from sampling_design.plants.library import PLANTS
+
+    if str(path) in PLANTS:
+        return sd.named_plant(str(path))
+    try:
+        return sd.read_plant(path)
+    except FileFormatError as error:
+        if "Did you mean" in str(error):
+            raise
+        raise FileFormatError(f"{error} A plant of the library needs no file. {likely(path.stem, PLANTS)}") from None
 
 
 def schedule(path: Path) -> AnySchedule:

@@ -20,7 +20,13 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
+PlantFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PLANT",
+        help="Plant file: .toml, .json, .mat or .npz; or the name of a plant of the library, as oscillator.",
+    ),
+]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
 RequirementFile = Annotated[
     Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")

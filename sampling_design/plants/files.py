@@ -68,6 +68,10 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
     """
     where = os.fspath(path)
     if not Path(where).suffix and not Path(where).exists():
+        from sampling_design.plants.library import PLANTS
+
+        if where in PLANTS:
+            raise FileFormatError(f"{where}: no such file. Did you mean named_plant({where!r})?", where)
         file_io.read_bytes(where)  # says so, and what may have been meant
     text = {"toml": file_io.from_toml, "json": file_io.from_json}
     reads = {key: lambda where, parse=parse: parse(file_io.read_text(where), where) for key, parse in text.items()}

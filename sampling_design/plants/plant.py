@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FORMAT = "sampling-design/plant/1"  # of the tree that `Plant.to_dict` returns and a plant file holds
 
+DISCRETE = "A plant is continuous in time; one in discrete time is given as Plant(control.ss(A, B, C, D, dt))."
 ORDER = "Others write (A, B, C, D); here only A and C have places, as in Plant(A, C, B=B, D=D)."
 """What is said where a matrix too many was given by place: with square sizes B would pass for C."""
 MATRICES = ("A", "B", "C", "D", "G")
@@ -71,6 +72,9 @@ class Signals(ListRecord[str]):
 
     def _entries(self) -> Sequence[str]:
         return self.names
+
+    def _where(self, name: str) -> str:
+        return f" It is entry {self.names.index(name)}: names.index({name!r})." if name in self.names else ""
 
     def with_more(self, names: Sequence[str], units: Sequence[str], scales: Sequence[float]) -> Signals:
         """Return these entries with others after them."""
@@ -154,6 +158,7 @@ class Plant(Record):
 
     _reader: ClassVar[str] = "read_plant"
     _order: ClassVar[str] = ORDER
+    _absent: ClassVar[dict[str, str]] = dict.fromkeys(("dt", "Ts", "h", "sampling_time", "sample_time"), DISCRETE)
     A: Converted[npt.ArrayLike | StateSpace, Array]
     C: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
     B: Converted[npt.ArrayLike | None, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias, TypeGuard, TypeVar, get_args
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers import strict
 from sampling_design.checkers.strict import is_flag, is_list, is_number, is_text, is_whole, likely
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Mask
@@ -25,6 +26,7 @@ Seed: TypeAlias = np.random.Generator | int | None
 _OTHERS = {
     "rng seed": "seed random_state random_seed generator",
     "dt step": "Ts sampling_time h",
+    "grid dt": "step raster interval resolution",
     "time_unit": "unit units timeunit",
     "window horizon duration": "length T N span",
     "eta decay_rate": "rate decay lam",
@@ -41,11 +43,13 @@ _OTHERS = {
     "runs": "n_runs trials n_trials",
     "samples count": "n_samples",
     "samples": "count",
-    "gaps": "times",
+    "count": "samples",
+    "gaps": "times period",
     "of": "rows wanted",
 }
 ELSEWHERE = {word: ours.split() for ours, theirs in _OTHERS.items() for word in theirs.split()}
 """What other packages, and the field, call an argument that has another name here; the likeliest of ours first."""
+strict.ELSEWHERE.update(ELSEWHERE)  # keys of files are told, too
 
 
 def freeze(array: object) -> Array:
@@ -75,7 +79,8 @@ def real_array(name: str, value: object, ndim: int) -> Array:
     """
     array = _as_reals(name, value)
     if array.ndim != ndim:
-        slip = " One row is [[...]], in two brackets." if (ndim, array.ndim) == (2, 1) else ""
+        slips = {(2, 1): " One row is [[...]], in two brackets.", (1, 0): " One number is [...], in brackets."}
+        slip = slips.get((ndim, array.ndim), "")
         raise ArgumentError(f"`{name}` must have {ndim} dimension{'s' * (ndim != 1)}, got shape {array.shape}.{slip}")
     if not np.all(np.isfinite(array)):
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, Type
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_whole
+from sampling_design.checkers.strict import is_text, is_whole
 from sampling_design.errors import ArgumentError, CallError, MissingExtraError, UndecidedError
 from sampling_design.records import checks
 from sampling_design.records.declarations import Column, columns, said, selected
@@ -232,6 +232,10 @@ class ListRecord(Record, Generic[Listed]):
     def __iter__(self) -> Iterator[Listed]:
         return iter(self._entries())
 
+    def _where(self, name: str) -> str:
+        """What leads to an entry of this name, in a sentence, or nothing."""
+        return ""
+
     @overload
     def __getitem__(self, place: int) -> Listed: ...
     @overload
@@ -241,7 +245,8 @@ class ListRecord(Record, Generic[Listed]):
         if isinstance(place, slice):
             return list(found[place])
         if not is_whole(place):
-            raise CallError(f"`place` must be a whole number or a slice, got {checks.described(place)}.")
+            where = self._where(place) if is_text(place) else ""
+            raise CallError(f"`place` must be a whole number or a slice, got {checks.described(place)}.{where}")
         if not -len(found) <= place < len(found):
             raise IndexError(
                 f"`place` = {place} is outside: this {type(self).__name__} has {counted(len(found), 'row')}."
@@ -257,6 +262,9 @@ class TableRecord(ListRecord[dict[str, object]]):
         names = tuple(found := self._columns())
         plain = (getattr(column, "tolist", lambda column=column: column)() for column in found.values())
         return [dict(zip(names, row, strict=True)) for row in zip(*plain, strict=True)]
+
+    def _where(self, name: str) -> str:
+        return f" A row has it: [0][{name!r}]; all rows: to_frame()." if name in self._columns() else ""
 
     def __bool__(self) -> bool:
         return True  # a result is there, however many rows it has

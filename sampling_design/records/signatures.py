@@ -226,13 +226,13 @@ def misfit(
     kind = getattr(given[0], "__name__", type(given[0]).__name__) if own and "." in name else ""
     name = f"{kind}.{function.__name__}" if kind else name
     order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
-    taken, given = taken[own:], given[own:]
+    absent, taken, given = getattr(given[0], "_absent", {}) if own else {}, taken[own:], given[own:]
     every = (*taken, *_unpacked(hints_of(function), taken))
     known = [each.name for each in every if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
     placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
-    for key in named:
-        if key not in known:
-            return CallError(f"`{name}` has no argument `{key}`. {meant(key, known, hints_of(function))}")
+    for key in (each for each in named if each not in known):
+        slip = absent.get(key) or meant(key, known, hints_of(function))
+        return CallError(f"`{name}` has no argument `{key}`. {slip}")
     if len(given) > len(placed):
         count, places = f"{len(placed)} argument{'s' * (len(placed) != 1)}", f" ({', '.join(placed)})" if placed else ""
         return CallError(f"`{name}` takes {count} by place{places}, got {len(given)}: the others have names.{order}")

@@ -174,3 +174,22 @@ def test_an_option_that_has_another_name_here_is_named(shell, command, typed, me
 def test_a_file_in_the_wrong_place_is_an_error_of_the_file():
     with pytest.raises(FileFormatError, match="is a plant file, expected a schedule file"):
         files.schedule(OSCILLATOR)
+
+
+def test_a_plant_of_the_library_is_named_without_a_file(shell, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    named, read = shell("info", "oscillator"), shell("info", OSCILLATOR)
+    assert named.code == read.code == 0
+    assert named.out == read.out
+    with pytest.raises(FileFormatError, match="A plant of the library needs no file"):
+        files.plant(Path("oscilator.toml"))
+    (tmp_path / "plant.toml").write_text("")
+    assert "Did you mean plant.toml?" in shell("info", "plan.toml").err
+
+
+def test_a_key_that_others_use_leads_to_ours(shell, tmp_path):
+    text = (OSCILLATOR.parents[1] / "plans" / "oscillator.toml").read_text()
+    (tmp_path / "plan.toml").write_text(text.replace("grid =", "raster ="))
+    told = shell("plan", tmp_path / "plan.toml")
+    assert told.code == 2
+    assert "unknown key 'raster' in the requirement. Did you mean 'grid'?" in told.err

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, named_plant, read_plant
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, named_plant, read_plant
+from sampling_design.errors import CallError, FileFormatError
 from sampling_design.plants import library
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.files import write_plant
@@ -147,3 +148,22 @@ def test_motions_are_summed_and_each_sensor_shows_the_sum():
     np.testing.assert_allclose(np.diag(plant.transition(24.0)), [1.0, 1.0, 1.0, 3.0**-12], atol=1e-12)
     with pytest.raises(ArgumentError, match="`oscillations` or `decays` must name a time, or nothing moves"):
         library.plant_of_modes()
+
+
+def test_a_name_of_the_library_in_place_of_a_file_leads_to_its_plant():
+    with pytest.raises(FileFormatError, match=r"oscillator: no such file. Did you mean named_plant\('oscillator'\)\?$"):
+        read_plant("oscillator")
+
+
+@pytest.mark.parametrize("word", ["dt", "Ts", "sample_time"])
+def test_a_plant_in_discrete_time_is_told_how_to_come(word):
+    control = pytest.importorskip("control")
+    with pytest.raises(CallError, match=r"one in discrete time is given as Plant\(control.ss\(A, B, C, D, dt\)\)"):
+        Plant([[-1.0]], [[1.0]], **{word: 0.1})
+    taken = Plant(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), time_unit="s")
+    assert taken.transition(0.1)[0, 0] == pytest.approx(0.5)
+
+
+def test_one_number_in_place_of_a_list_is_told_its_brackets():
+    with pytest.raises(ArgumentError, match=r"`gaps` must have 1 dimension, got shape \(\). One number is \[...\]"):
+        PeriodicSchedule(1.0)

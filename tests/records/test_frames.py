@@ -199,6 +199,17 @@ def test_a_record_of_rows_is_counted_indexed_and_iterated(kind):
             record[wrong]
 
 
+def test_an_entry_that_is_asked_for_by_name_is_told_where_it_stands():
+    states = sd.named_plant("oscillator").states
+    with pytest.raises(CallError, match=r"got str 'velocity'. It is entry 1: names.index\('velocity'\).$"):
+        states["velocity"]
+    table = MAKERS["AccuracyByCount"]()
+    column = next(iter(table._columns()))
+    with pytest.raises(CallError, match=rf"A row has it: \[0\]\['{column}'\]; all rows: to_frame\(\).$"):
+        table[column]
+    assert column in table[0]
+
+
 def test_a_schedule_without_end_is_no_list():
     schedule = MAKERS["PeriodicSchedule"]()
     for ask in (list, lambda each: each[0], lambda each: each[:2]):

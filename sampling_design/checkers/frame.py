@@ -163,7 +163,7 @@ class Frame:
 
     def spend(self, matrices: int) -> None:
         """Count one round of operations on so many matrices; undecided where it is more than was allowed."""
-        self.work.spend(150 + matrices * (1 + self.n**2 / 4))
+        self.work.spend(150 + matrices * (1 + min(self.n, self.n**2 / 4)))  # microseconds, measured up to n = 40
         if self.work.over:
             raise self.undecided("it takes more work than one check may do")
 
@@ -218,6 +218,11 @@ class Frame:
     def skew(self) -> float:
         """k of `rates`."""
         return self.rates[1]
+
+    @cached_property
+    def drive(self) -> float:
+        """A bound of the largest eigenvalue of S."""
+        return float(largest(self.S) + size(self.wrong_S))
 
     @cached_property
     def rates(self) -> tuple[tuple[float, float], float]:
@@ -330,6 +335,11 @@ class Frame:
         rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
         flow = np.exp(np.minimum(rate, 300)) * (1 + 1e-6)
         return np.asarray((step * flow) ** 2 / 8 * (size(second) + lost))
+
+    def risen_to(self, top: Array, step: Array) -> Array:
+        """A bound of the largest eigenvalue along steps from Y <= `top` I on: e^{2 mu d} (top + d |S|)."""
+        grown = np.exp(np.minimum(2 * self.growth[1] * step, 600)) * (1 + 1e-6)
+        return np.asarray(grown * (top + step * self.drive))
 
     def invariant_bound(self) -> float | None:
         """A number s <= 1, if one is found, such that Y <= s I at the start and ever after, with samples or without.

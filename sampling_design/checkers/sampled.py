@@ -3,6 +3,7 @@
 It proves Pi = Y^-1 >= target from Y(start) = P2^-1 on, that is Y <= I in the coordinates of `frame.py`:
 1. Between samples Y' = F Y'(0) F', Y'' likewise: on a step of length d, Y <= its end + d N where N >= -Y' all along,
    and Y <= chord + (d^2/8) N where N >= -Y''. So it is along the starts: where Y rises, the end of a cell covers it.
+   Far below I a norm is enough: with |e^{As}| <= e^{mu s}, Y(s) <= e^{2 mu d} (|Y(0)| + d |S|) I.
 2. With one window's gains, Y of another start is at most affine in its first value: two ends cover a cell of starts.
 3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further,
    and none at all where the flow alone takes a multiple of I below itself, since samples only lower Y.
@@ -19,6 +20,7 @@ from .parts import Claim
 from .schedule_file import NEAR, SAMPLED, Sampled, Times, Witness, of_schedule
 from .strict import Array, Index, Mask
 
+LOW = 0.75  # what the norm alone shows to stay below this is not looked at closer: it leaves as much slack
 REPLAY = 1e-6  # what a witness may miss of its ratio
 CELLS = 4  # start cells per gap at first
 ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
@@ -99,6 +101,10 @@ class Windows(Frame):
         good[~(left <= self.one)] = False
         for _ in range(ROUNDS):
             kept = good[owner]
+            U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
+            low = self.risen_to(left, step)
+            kept = ~(low <= LOW)
+            self.reached = max(self.reached, low[~kept].max(initial=0.0))
             U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
             if not owner.size or owner.size > MAX_OPEN:
                 break

@@ -101,6 +101,17 @@ class Times:
         last = "" if self.periodic else f" up to {self.times[-1]:.9g}, the last sample"
         return f"every real window start and every later t{last}"
 
+    @property
+    def primitive(self) -> "Times":
+        """The same samples with the shortest period in which gaps and outputs repeat, to the last bit; else itself."""
+        N = self.gaps.size
+        for k in range(1, N if self.periodic else 1):
+            gaps, measured = self.gaps[:k], self.measured[:k]
+            same = N % k == 0 and np.array_equal(np.tile(gaps, N // k), self.gaps)
+            if same and self.first <= gaps.sum() and np.array_equal(np.tile(measured, (N // k, 1)), self.measured):
+                return Times(True, gaps, self.first, measured, gaps)
+        return self
+
 
 @dataclass(frozen=True)
 class Witness:
@@ -138,7 +149,7 @@ SAMPLED = table(WEIGHED, whole="the certificate")
 def of_schedule(read: Tree, plant: Plant) -> Sampled:
     """A file of claim "assumption-7"."""
     times = times_of(read["times"], plant)
-    return Sampled(plant, weights_of(read, plant), times, witness_of(read["witness"], plant.n, times))
+    return Sampled(plant, weights_of(read, plant), times.primitive, witness_of(read["witness"], plant.n, times))
 
 
 def witness_of(read: Tree | None, n: int, times: Times) -> Witness | None:

@@ -50,7 +50,7 @@ def times(samples: int, regular: bool) -> np.ndarray:
 
 def schedule(samples: int, regular: bool) -> sd.PeriodicSchedule:
     at = times(samples, regular)
-    return sd.PeriodicSchedule(at.tolist(), float(at[-1]) + (0.0 if regular else 0.4))
+    return sd.PeriodicSchedule.from_times(at, float(at[-1]) + (0.0 if regular else 0.4))
 
 
 def matrix(states: int, samples: int, outputs: int, regular: bool = True) -> Call:

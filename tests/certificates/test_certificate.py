@@ -26,6 +26,8 @@ from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import smallest_repair
 from sampling_design.certificates.form import digest
+from sampling_design.certificates.form.verdict import verdict_of
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.plants.plant import Signals
 from tests import kept_certificates
@@ -311,6 +313,23 @@ def test_finite_schedule_certifies_to_its_last_time_and_says_so():
     assert made.witness.t <= 2.0
     aliased = given(schedule=Schedule(np.pi * np.arange(1, 4)))
     assert aliased.verify().passed
+
+
+def test_a_period_that_is_given_several_times_over_is_proven_once():
+    """The same weights and lambda, and the same work of the check; not where the first sample or an output differ."""
+    once = PeriodicSchedule([0.5, 1.0], 0.25)
+    many = PeriodicSchedule(np.tile(once.gaps, 30), 0.25)
+    one, more = certify(OSCILLATOR, once, eta=0.4), certify(OSCILLATOR, many, eta=0.4)
+    assert (more.lam, more.P2.tolist()) == (one.lam, one.P2.tolist())
+    assert len(more.schedule) == 60
+    works = [WorkLimit(1e6), WorkLimit(1e6)]
+    assert all(verdict_of(made.to_dict(), work).passed for made, work in zip((one, more), works, strict=True))
+    assert works[0].left == works[1].left
+    late = given(schedule=PeriodicSchedule([1.0, 1.0], 1.5))
+    assert late.content.schedule.gaps.size == 2
+    both = Plant(OSCILLATOR.A, np.eye(2))
+    mask = np.tile([[1, 1], [1, 0], [1, 1], [0, 1]], (2, 1))
+    assert given(both, PeriodicSchedule(np.ones(8), outputs=mask)).content.schedule.gaps.size == 4
 
 
 def test_nothing_to_observe_is_certified_at_once():

@@ -54,6 +54,7 @@ def test_nothing_along_a_stretch_exceeds_its_bound(seed):
         bound = float(frame.covered(Y[None], end, np.array([step]), 0.0)[0])
         highest = max(np.linalg.eigvalsh(later(frame, Y, s))[-1] for s in np.linspace(0, step, 41))
         assert highest <= bound * (1 + 1e-9)
+        assert highest <= frame.risen_to(largest(Y), step) * (1 + 1e-9)
         with precision():
             flow = BallFlow(matrix(frame.A), matrix(frame.S))
             N = floats(flow.carried(fallen(flow.slope(matrix(Y))), ball(step)))
@@ -98,6 +99,32 @@ def test_a_large_lambda_is_proven_with_little_work():
     made = certify(plant, Schedule([1.8, 2.4, 3.8, 4.3, 5.1, 6.8]), eta=3.0, P2=np.eye(5))
     assert made.lam > 1e8
     assert verdict_of(made.to_dict(), WorkLimit(4e4)).passed
+
+
+def test_a_norm_bounds_what_turns_and_is_not_driven_exactly():
+    A = 0.1 * np.eye(2) + [[0.0, 7.0], [-7.0, 0.0]]
+    made = {"P1": np.eye(2) / 2, "P2": np.eye(2), "Qw": np.eye(1), "R": [[2.0]], "Qv": [[2.0]], "eta": 0.4, "lam": 2.0}
+    plant = Plant(A, [[1.0, 0.0]], G=np.zeros((2, 1)))
+    file = claims.certificate(Certificate.from_matrices(plant, PeriodicSchedule([1.0]), **made).to_dict())
+    frame = sampled.Windows(numbers.problem(file.plant, file.weights), file.schedule, np.eye(2), "Y <= I")
+    assert frame.risen_to(np.array([0.3]), np.array([3.0]))[0] == pytest.approx(0.3 * np.exp(0.6 * 3.0), rel=1e-5)
+
+
+def twelve_undamped(room):
+    """Six oscillations nearly equal, gaps of up to three turns, and the P1 that a search found, times `room`."""
+    A = np.kron(np.diag(np.linspace(1.0, 1.3, 6)), [[0.0, 1.0], [-1.0, 0.0]])
+    plant = Plant(A, np.random.default_rng(12).normal(size=(1, 12)))
+    schedule = PeriodicSchedule(np.arange(1.0, 21.0), 20.0)
+    made = {"P1": 2.1e-4 * room * np.eye(12), "P2": 0.01 * np.eye(12), "Qw": np.eye(12), "R": [[2.0]], "Qv": [[2.0]]}
+    return Certificate.from_matrices(plant, schedule, **made, eta=0.0186, lam=0.01 / (2.1e-4 * room))
+
+
+def test_undamped_modes_are_proven_with_little_work(monkeypatch):
+    """Where the norm shows what lies far below the target: a seventh of the work of steps shorter than a turn."""
+    assert verdict_of(twelve_undamped(1.0).to_dict(), WorkLimit(3e5)).passed
+    assert verdict_of(twelve_undamped(1.2).to_dict(), WorkLimit(3e5)).verdict == "refuted"
+    monkeypatch.setattr(sampled, "LOW", 0.0)
+    assert verdict_of(twelve_undamped(1.0).to_dict(), WorkLimit(3e5)).verdict == "undecided"
 
 
 @pytest.mark.parametrize("rate", few([1e2, 1e5, 1e9], 1))

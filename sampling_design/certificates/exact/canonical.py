@@ -160,7 +160,8 @@ def _power(logs: npt.ArrayLike) -> Array:
 
 def _timed(schedule: AnySchedule, time: float) -> AnySchedule:
     if schedule.endless:
-        return PeriodicSchedule(schedule.gaps / time, schedule.first / time, outputs=schedule.outputs)
+        shortest = schedule.primitive()  # whatever is equal is followed once
+        return PeriodicSchedule(shortest.gaps / time, shortest.first / time, outputs=shortest.outputs)
     return Schedule(schedule.times / time, schedule.outputs)
 
 

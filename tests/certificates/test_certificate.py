@@ -22,7 +22,7 @@ from sampling_design.certificates.exact import certificate as record
 from sampling_design.certificates.exact import proof
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.weight_choice import ETA_RANGE, SCAN, WeightSearch
-from sampling_design.certificates.exact.window_gains import WindowSet
+from sampling_design.certificates.exact.window_gains import ACTIVE, WindowSet, _log_largest_eigenvalues
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import smallest_repair
 from sampling_design.certificates.form import digest
@@ -122,6 +122,24 @@ def test_gradients_are_those_of_differences():
     h = 1e-6
     numerical = (windows.log_lambda(L + h * step)[0] - windows.log_lambda(L - h * step)[0]) / (2 * h)
     assert np.allclose(np.einsum("kij,ij->k", slopes, step @ L.T + L @ step.T), numerical, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_what_bounds_spare_is_no_largest_eigenvalue_that_counts(size):
+    """The same to the last bit as all eigenvalues; nearly equal ones, which no bound tells apart, are all kept."""
+    rng = np.random.default_rng(3)
+    roots = rng.standard_normal((60, 5, 7, 7)) * np.exp(rng.uniform(-1, 0, (60, 5, 1, 1)))
+    ratios = size * roots @ np.swapaxes(roots, -1, -2)
+    ratios[:, 4] = size * np.eye(7) * np.exp(rng.uniform(-2 * ACTIVE, 0.0, (60, 1, 1)))
+    valid = rng.uniform(size=(60, 5)) < 0.9
+    logs = np.log(np.linalg.eigvalsh(ratios)[..., -1])
+    counts = valid & (logs > np.where(valid, logs, -np.inf).max(axis=0) - ACTIVE)
+    found, _ = _log_largest_eigenvalues(ratios, valid)
+    assert np.array_equal(found[counts], logs[counts])
+    assert not np.isfinite(found[~valid]).any()
+    spared = ~np.isfinite(found[:, :4]) & valid[:, :4]
+    assert spared.sum() > 0.8 * valid[:, :4].sum()
+    assert np.array_equal(_log_largest_eigenvalues(ratios[:, 0], valid[:, 0])[0], found[:, 0])
 
 
 def test_tradeoff_curve_falls_in_horizon_and_rises_in_gain():

@@ -26,6 +26,8 @@ ACTIVE = 0.05
 """Times of a window whose ln lambda lies within this of its largest enter the smooth maximum."""
 SHARPNESS = 100.0
 """Exponent of the smooth maximum over a window's times: it exceeds the true one by ln(times)/100 at most."""
+MANY = 4  # largest eigenvalues to be found in a window from which on powers are asked first which of them count
+POWERS, SAFE = (4, 16), 1e-9  # that bound a largest eigenvalue, one after the other; more than they lose in rounding
 PARTS = (0.5, 1.0)
 STEP_WORK, GAINS = (20, 55, 0.6, 0.002), 1.5
 """Work of one sample of all windows: so much, so much for each output, and for n and n^3 of each window; and how many
@@ -171,10 +173,24 @@ class WindowSet:
 def _log_largest_eigenvalues(ratios: Array, valid: Mask) -> tuple[Array, Array]:
     """ln lambda_max of each matrix, times first; -inf where it cannot enter a smooth maximum over times; the matrices.
 
-    Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues.
+    Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues; of larger matrices the largest one of
+    the time with the largest entry, and the bound of powers, spare most of those that are left.
     """
-    below = np.where(valid, np.diagonal(ratios, axis1=-2, axis2=-1).max(axis=-1), 0.0).max(axis=0)
-    hopeful = valid & ~(eigenvalue_bound(ratios) < np.exp(-ACTIVE) * below)
+    diagonal = np.where(valid, np.diagonal(ratios, axis1=-2, axis2=-1).max(axis=-1), 0.0)
+    below, bound = diagonal.max(axis=0), eigenvalue_bound(ratios)
+    hopeful = valid & ~(bound < np.exp(-ACTIVE) * below)
+    if ratios.shape[-1] > FOUR and below.size and np.count_nonzero(hopeful) > MANY * below.size:
+        leading = ratios[(np.argmax(diagonal, axis=0), *np.indices(below.shape))]
+        below = np.maximum(below, np.linalg.eigvalsh(leading)[..., -1] * (1 - SAFE))
+        hopeful &= ~(bound < np.exp(-ACTIVE) * below)
+        where = np.nonzero(hopeful)
+        raised = ratios[where] / below[where[1:]][..., None, None]
+        for power in POWERS:
+            raised = raised @ raised
+            raised = raised @ raised
+            left = ~(eigenvalue_bound(raised) * (1 + SAFE) < np.exp(-ACTIVE * power))
+            hopeful[tuple(part[~left] for part in where)] = False
+            raised, where = raised[left], tuple(part[left] for part in where)
     logs = np.full(ratios.shape[:-2], -np.inf)
     logs[hopeful] = np.log(np.maximum(np.linalg.eigvalsh(ratios[hopeful])[..., -1], 1e-300))
     return logs, ratios

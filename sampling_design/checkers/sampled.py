@@ -79,13 +79,8 @@ class Windows(Frame):
         self, numbers: Problem, schedule: Times, target: Array, inequality: str, work: WorkLimit | None = None
     ) -> None:
         super().__init__(numbers, target, inequality, schedule.measured, work)
-        self.schedule, self.N, self.gaps, self.times, self.reach = (
-            schedule,
-            schedule.gaps.size,
-            schedule.gaps,
-            schedule.times,
-            schedule.reach,
-        )
+        self.schedule, self.N, self.gaps = schedule, schedule.gaps.size, schedule.gaps
+        self.times, self.reach = schedule.times, schedule.reach
         self.longer = self.gaps * (1 + 4 * EPS)  # a difference of two times is rounded
         self.reached = 0.0
 
@@ -100,11 +95,9 @@ class Windows(Frame):
         left = largest(U, 0.5)
         good[~(left <= self.one)] = False
         for _ in range(ROUNDS):
-            kept = good[owner]
-            U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
             low = self.risen_to(left, step)
-            kept = ~(low <= LOW)
-            self.reached = max(self.reached, low[~kept].max(initial=0.0))
+            self.reached = max(self.reached, low[low <= LOW].max(initial=0.0))
+            kept = good[owner] & ~(low <= LOW)
             U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
             if not owner.size or owner.size > MAX_OPEN:
                 break

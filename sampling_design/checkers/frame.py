@@ -20,6 +20,7 @@ from .outcome import MOST_WORK, Undecided, WorkLimit
 from .strict import Array, Index, Mask
 
 APART = 1e-6  # relative gap of two speeds from which on they are told apart
+DOUBLINGS = 40  # that the price of a flow holds: a gap of 1e12 time constants; more are paid one by one
 FLOOR = 1e-6  # of the larger one of two parts: what couples them by rounding counts 1/sqrt(this) times
 
 
@@ -284,6 +285,8 @@ class Frame:
         S, wrong_S = source or (self.S, self.wrong_S)
         n, norm = self.n, np.fmax(np.linalg.norm(self.A, 1), 1e-300)
         doublings = np.maximum(0, np.ceil(np.log2(np.maximum(2 * h * norm, 1e-300)))).astype(int)
+        if beyond := int(np.maximum(doublings - DOUBLINGS, 0).sum()):
+            self.spend(4 * beyond)
         scale = np.fmax(np.linalg.norm(S, 1), 1e-300) / norm
         step = np.ldexp(h, -doublings)[:, None, None]
         X = np.block([[-self.A, S / scale], [0 * self.A, self.A.T]]) * step

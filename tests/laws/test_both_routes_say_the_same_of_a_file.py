@@ -13,6 +13,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import verdict
+from sampling_design.checkers.frame import Frame
 from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.checkers.parts import digest
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
@@ -40,6 +41,7 @@ def region(f, **changes):
 
 FILES = {
     "periodic": lambda: sd.certify(OSCILLATOR, NOMINAL, eta=0.4, P2=np.eye(2)).to_dict(),
+    "finite": lambda: sd.certify(OSCILLATOR, sd.Schedule([0.5, 1.5]), eta=0.4, P2=np.eye(2)).to_dict(),
     "jitter": lambda: sd.certify(OSCILLATOR, sd.Jitter(NOMINAL, 0.1), eta=0.1, memory=0, P2=np.eye(2)).to_dict(),
     "lost": lambda: sd.certify(OSCILLATOR, sd.LostSamples(NOMINAL, 1, 3), eta=0.1, memory=0, P2=np.eye(2)).to_dict(),
     "detectability": lambda: sd.certificates.certify_detectability(OSCILLATOR).to_dict(),
@@ -58,7 +60,7 @@ def matrices(data):
     return [key for key in ("P", "P1", "P2", "Qw", "R", "Qv") if key in data]
 
 
-def forged(kind):
+def forged_files(kind):
     """Label, file, and whether it is malformed (None: the mathematics decides)."""
     whole = json.loads(text(kind))
     for key in sorted(whole):
@@ -74,6 +76,8 @@ def forged(kind):
         ):
             changed = [M, *whole[key][1:]] if stack else M
             yield f"{key} {label}", whole | {key: changed}, wrong or None
+    if "graph" not in whole:
+        yield "too fast", fast(whole), None
     words = whole.get("graph", {}).get("words")
     for word in ([0.5], [7.0], [0.0, 2.0], [0.0, 0.2, 0.1], []) if words and kind != "inclusion" else ():
         yield f"word {word}", whole | {"graph": whole["graph"] | {"words": [*words[:-1], word]}}, True
@@ -83,6 +87,12 @@ def forged(kind):
         yield "a larger ratio", whole | {"witness": whole["witness"] | {"ratio": 2 * whole["witness"]["ratio"]}}, False
     if kind == "region":
         yield from of_regions()
+
+
+def fast(whole):
+    """A plant of 1e60 radians a unit of time."""
+    numbers = whole["plant"]["matrices"]
+    return whole | {"plant": whole["plant"] | {"matrices": numbers | {"A": (1e60 * np.array(numbers["A"])).tolist()}}}
 
 
 def of_regions():
@@ -99,7 +109,7 @@ def of_regions():
 @pytest.mark.parametrize("kind", FILES)
 def test_the_two_routes_agree_on_forged_files(kind):
     counts = {}
-    for label, data, malformed in forged(kind):
+    for label, data, malformed in forged_files(kind):
         data = data if label == "without digest" else {**data, "digest": digest(data)}
         in_floats, in_balls = WorkLimit(WORK), WorkLimit(WORK)
         found = verdict(data, in_floats).verdict, verify_rigorously(data, np.inf, in_balls).verdict
@@ -122,3 +132,12 @@ def test_a_witness_leaves_out_no_sample_of_its_window(more, said):
     forged = whole | lams | {"witness": peak | {"ratio": whole["witness"]["ratio"] * more}}
     forged["digest"] = digest(forged)
     assert verdict(forged).verdict == verify_rigorously(forged).verdict == said
+
+
+def test_what_a_flow_costs_is_counted_however_fast_the_plant(monkeypatch):
+    """Two hundred doublings of a gap of 1e60 time constants took twenty times the work that was counted."""
+    done, doubt = [0], Frame.doubt
+    monkeypatch.setattr(Frame, "doubt", lambda self, w, *rest: done.append(len(w)) or doubt(self, w, *rest))
+    forged = fast(json.loads(text("lost")))
+    assert verdict({**forged, "digest": digest(forged)}, WorkLimit(WORK / 10)).verdict == "undecided"
+    assert 0 < sum(done) < WORK / 40

@@ -247,7 +247,7 @@ def _verified(decide: Callable[[Budget], Proven], budget: float, work: WorkLimit
     except BudgetSpentError:
         reason = "it takes more work than was handed over" if work and work.over else f"{budget:g} s were not enough"
         found = Verdict(UNDECIDED, "budget", reason)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ZeroDivisionError) as error:  # the latter: a ball holds a singular matrix
         found = Verdict(UNDECIDED, "guess", f"the guesses in floats broke down ({error})")
     return verification(found, BITS, clock.spent)
 

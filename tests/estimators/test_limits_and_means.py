@@ -259,3 +259,35 @@ def test_readings_without_a_bound_say_nothing_of_an_interval(nothing):
     rows = [(0.0, [0.5]), (2.0, [0.5])]
     found = state_interval(WALK, rows, w_bound=0.1, v_bound=nothing, initial_error=1.0)
     assert (found.lower[0], found.upper[0]) == pytest.approx((-1.2, 1.2), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["0,0.5,<0.1", "1,,> 3", "2,<0.2,", "3,,", "4, <1e-3 ,>-2", "5,0.25,0.5"],
+        ["0,<0.1,<0.2"],
+        ["0;0,5;<0,1", "1;;>3", "2;<0,2;"],
+    ],
+)
+def test_rows_with_limits_are_read_at_once_as_they_are_one_by_one(tmp_path, rows):
+    plant = sd.Plant(-np.eye(2), np.eye(2), outputs=["a", "b"], time_unit="h")
+    mark = ";" if ";" in rows[0] else ","
+    read = []
+    for name, begin in (("at_once", ""), ("one_by_one", '"')):  # a quote: no row of that block is plain
+        path = tmp_path / f"{name}.csv"
+        last = mark.join(["9", f"{begin}1{begin}", "1"])
+        path.write_text("\n".join([mark.join(["time", "a", "b"]), *rows, last]) + "\n")
+        read.append(sd.read_measurements(path, plant))
+    at_once, one_by_one = read
+    np.testing.assert_array_equal(at_once.times, one_by_one.times)
+    np.testing.assert_array_equal(at_once.y, one_by_one.y)
+    assert at_once.censored == one_by_one.censored
+    assert any(at_once.censored)
+
+
+def test_a_limit_without_its_number_is_refused_with_its_line(tmp_path):
+    plant = sd.Plant(-np.eye(2), np.eye(2), outputs=["a", "b"], time_unit="h")
+    path = tmp_path / "half.csv"
+    path.write_text("time,a,b\n0,<0.1,1\n1,<,1\n")
+    with pytest.raises(FileFormatError, match="line 3"):
+        sd.read_measurements(path, plant)

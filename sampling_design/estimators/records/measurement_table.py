@@ -168,11 +168,12 @@ class MeasurementTable:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
         plain = self._plain(lines) if self._by_time is None else None
         if plain is not None:
-            times, y, u = plain
+            times, y, u, censored = plain
             self._latest, self._held = float(times[-1]), u[-1]
             kept = np.isfinite(y).any(axis=1) | bool(u.shape[1])
+            kept[list(censored)] = True
             self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
-            self.censored += [()] * int(kept.sum())
+            self.censored += [tuple(censored.get(row, ())) for row in np.flatnonzero(kept).tolist()]
             return
         for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
@@ -183,8 +184,11 @@ class MeasurementTable:
             self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()
 
-    def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array] | None:
-        """Times, outputs and inputs of rows of numbers and blanks in order of time; None for any other rows."""
+    def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array, dict[int, list[CensoredReading]]] | None:
+        """Times, outputs, inputs and, by row, readings beyond limits of rows in order of time; None for any other rows.
+
+        They hold numbers, numbers after < or >, and blanks.
+        """
         texts = [line for _, line in lines]
         if any('"' in text or len(text) > LONGEST_LINE for text in texts):
             return None
@@ -198,16 +202,27 @@ class MeasurementTable:
         more = [self.stamp + UNTIL, *(name + SINCE for name in self.plant.outputs.names)]
         if any(cell.strip() for name in more for cell in columns.get(name, ())):
             return None
-        outputs, inputs = (
-            [self._column(columns[name]) for name in signals.names]
-            for signals in (self.plant.outputs, self.plant.inputs)
-        )
+        censored: dict[int, list[CensoredReading]] = {}
+        outputs = [self._output(i, columns[name], censored) for i, name in enumerate(self.plant.outputs.names)]
         y = _beside(outputs, times.size)
-        u = _beside(inputs, times.size)
+        u = _beside([self._column(columns[name]) for name in self.plant.inputs.names], times.size)
         if y is None or u is None:
             return None
         u = held_on(u, self._held)
-        return None if np.isnan(u).any() else (times, y, u)
+        return None if np.isnan(u).any() else (times, y, u, censored)
+
+    def _output(self, i: int, cells: tuple[str, ...], censored: dict[int, list[CensoredReading]]) -> Array | None:
+        """The numbers of an output, NaN beyond a limit of detection, which joins `censored` by its row; else None."""
+        limits = {row: cell[0] for row, cell in enumerate(map(str.strip, cells)) if cell[:1] in ("<", ">")}
+        found = self._column(tuple(cell.strip().removeprefix(limits.get(row, "")) for row, cell in enumerate(cells)))
+        if found is None or not limits:
+            return found
+        values = found[list(limits)].tolist()
+        found[list(limits)] = np.nan
+        for (row, limit), value in zip(limits.items(), values, strict=True):
+            ends = (-np.inf, value) if limit == "<" else (value, np.inf)
+            censored.setdefault(row, []).append(CensoredReading(i, *ends))
+        return None if np.isnan(values).any() else found
 
     def _stamps(self, cells: tuple[str, ...]) -> Array | None:
         if self.stamp == "time":

@@ -125,12 +125,10 @@ def finite_directions(system: SampledSystem, given: Sequence[Array] = ()) -> lis
 def determined_at(system: SampledSystem, path: list[int]) -> Array:
     """Orthonormal columns that span what the samples of a path from the start determine at its last node."""
     assert system.start is not None
-    free, observed = system.start.free(), list[Array]()
+    free = system.start.free()
     if not free.shape[1]:
         return np.eye(len(free))
-    for k, node in enumerate(path):
-        free = system.gap(path[k - 1]).F @ free if k else free
-        observed.append(system.samples[node].H @ free)
+    observed, free = system.outputs_of(path, free)
     return _determined(free, observed)
 
 

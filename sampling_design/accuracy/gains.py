@@ -103,10 +103,7 @@ def path_bounds(
 def cleared(system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: list[Array]) -> list[Array]:
     """Return gains, changed as little as can be so that nothing is left of what is free at the start."""
     free = start.free()
-    outputs, flow = [], free
-    for k, j in enumerate(nodes):
-        flow = system.gap(nodes[k - 1]).F @ flow if k else flow
-        outputs.append(system.samples[j].H @ flow)
+    outputs, _ = system.outputs_of(nodes, free)
     rows, ends = np.vstack(outputs), np.cumsum([len(H) for H in outputs])[:-1]
     for _ in range(2):
         rest = mu

@@ -174,6 +174,14 @@ class SampledSystem:
         every = self.nodes(j, length)
         return every[max(len(every) - length, 0) :]
 
+    def outputs_of(self, nodes: list[int], columns: Array) -> tuple[list[Array], Array]:
+        """What the samples of a path show of columns (n, m) of z at its first node, and what these are at its last."""
+        outputs = list[Array]()
+        for k, node in enumerate(nodes):
+            columns = self.gap(nodes[k - 1]).F @ columns if k else columns
+            outputs.append(self.samples[node].H @ columns)
+        return outputs, columns
+
     def refined(self, loss: float) -> SampledSystem:
         """Return the system with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]

@@ -73,10 +73,7 @@ class NonlinearLoop:
 
     def input(self, state: EstimatorState, t: float) -> Array:
         """The input in force from t on."""
-        u = state.input_at(t)
-        if u is None:
-            return np.zeros(self.plant.n_inputs)
-        return self.input_until(state, t, t) if self.ramps else u
+        return self.input_until(state, t, t)
 
     def input_until(self, state: EstimatorState, a: float, b: float) -> Array:
         """What the input in force from a on has become at b, with none given in between."""

@@ -32,6 +32,9 @@ PANEL = 1 / 128  # length of a panel times |A|, at most
 LEAST_PANELS = 64  # of one gap
 TERMS = 14  # of e^M, |M| <= 1/128: the rest is below 1e-36
 MOST_PANELS = 2**14  # of one gap
+MOST_HELD = 2_000_000  # numbers of one array of costates: more questions are worked out one part after the other
+KEPT = 5  # times as many are kept of gaps that may come again
+LONG = 2  # microseconds of a product of rationals
 STEPS = 30  # microseconds of a flow in integers, over the cube of its size
 INEQUALITY = "c'x(t) <= sum lambda y + b(lambda)"
 LOOSE = 1 + 1e-9  # covers the rounding of bounds themselves, which are sums of positive terms
@@ -193,8 +196,11 @@ class BackwardRecursion:
                 row[place] = Fraction(float(self.d[place])) / (Fraction(c.times[k]) - Fraction(one.since))
             if one.below and np.any(gain[: self.questions(gain)] < 0):
                 raise Refused(INEQUALITY, f"a gain of a one-sided reading at {c.times[k]:.9g} is negative")
-            taken, cut = long([[share * x for x in map(Fraction, gain.tolist())] for share in row])
-            columns.long, columns.off = columns.long - taken, columns.off + cut
+            some = np.flatnonzero(gain)
+            self.spend(LONG * some.size * len(row))
+            taken, cut = long([[share * x for x in map(Fraction, gain[some].tolist())] for share in row])
+            columns.long[:, some] -= taken
+            columns.off[:, some] += cut
             columns.exact += gain * one.y
             columns.doubt += 2 * EPS * (np.abs(gain * one.y) + np.abs(columns.exact))
             if one.below or not c.together:
@@ -202,6 +208,12 @@ class BackwardRecursion:
             else:
                 squares += (gain * one.size) ** 2
         columns.noise += np.sqrt(squares) * LOOSE
+
+    def spend(self, work: float) -> None:
+        """Count what is about to be done; undecided where that is more than was allowed."""
+        self.work.spend(work)
+        if self.work.over:
+            raise Undecided(INEQUALITY, "it takes more work than one check may do")
 
     def driving(self, wanted: Mask) -> Mask:
         """Which entries of the costates may differ from 0: of states that drive what is wanted or read."""
@@ -235,24 +247,34 @@ class BackwardRecursion:
 
     def piece(self, columns: Columns, length: Fraction, u: Array) -> None:
         """Over a length with a constant input, in panels."""
-        c, n, h = self.c, self.c.plant.n, float(length)
+        h = float(length)
         panels = 2 ** math.ceil(math.log2(max(self.size * h / PANEL, LEAST_PANELS)))
         if panels > MOST_PANELS:
             raise Undecided(INEQUALITY, f"a gap of {h:.6g} is too long for this check")
-        self.work.spend(panels * columns.off.size * len(self.A) / 50 + STEPS * len(self.A) ** 3)
-        if self.work.over:
-            raise Undecided(INEQUALITY, "it takes more work than one check may do")
+        self.spend(panels * columns.off.size * len(self.A) / 50 + STEPS * len(self.A) ** 3)
         d = h / panels
         if length not in self.known:
+            if sum(found[0].size for found in self.known.values()) > KEPT * MOST_HELD:
+                self.known.clear()
             self.known[length] = *flows(self.A.T, d, panels), *long_flow(self.A.T, length)
         E, wrong_E, mean, wrong_mean, whole, wrong_whole = self.known[length]
         g, wrong = columns.g, columns.wrong
-        path = E @ g
-        doubts = (np.abs(E) + wrong_E) @ wrong + (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(g)
         carried = np.abs(doubles(whole)) @ columns.off + wrong_whole * (np.abs(g) + columns.off).sum(axis=0)
         some = (columns.long != 0).any(axis=0) | columns.off.any(axis=0)  # nothing at all stays nothing
         columns.long, columns.off = product(whole, columns.long), (carried + UNIT * some) * LOOSE
-        self.integrate(columns, path, doubts, d)
+        for first in range(0, g.shape[1], step := max(1, MOST_HELD // E[:, 0].size)):
+            part = slice(first, first + step)
+            path = E @ g[:, part]
+            doubts = (np.abs(E) + wrong_E) @ wrong[:, part]
+            doubts += (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(g[:, part])
+            self.integrate(columns, part, path, doubts, d)
+            self.force(columns, part, path, doubts, (mean, wrong_mean), u)
+
+    def force(
+        self, columns: Columns, part: slice, path: Array, doubts: Array, means: tuple[Array, Array], u: Array
+    ) -> None:
+        """Add int g'(Bu + G centre) over the panels, with its doubt."""
+        c, n, (mean, wrong_mean) = self.c, self.c.plant.n, means
         force = np.zeros(len(self.A))
         force[:n] = (c.B @ u + c.plant.G @ c.w_centre) / self.d[:n]
         if not np.any(force):
@@ -260,15 +282,15 @@ class BackwardRecursion:
         sizes = np.zeros(len(self.A))
         sizes[:n] = (np.abs(c.B) @ np.abs(u) + np.abs(c.plant.G) @ np.abs(c.w_centre)) / self.d[:n]
         total, around = path[:-1].sum(axis=0), np.abs(path[:-1]).sum(axis=0)
-        loss = (panels + 4 * len(mean) + len(u) + len(c.w_centre)) * EPS
-        columns.exact += force @ (mean @ total)
-        columns.doubt += LOOSE * (
+        loss = (len(path) + 4 * len(mean) + len(u) + len(c.w_centre)) * EPS
+        columns.exact[part] += force @ (mean @ total)
+        columns.doubt[part] += LOOSE * (
             np.abs(force) @ (wrong_mean @ around + np.abs(mean) @ doubts[:-1].sum(axis=0))
             + 2 * loss * (sizes @ (np.abs(mean) @ around))
-            + EPS * np.abs(columns.exact)
+            + EPS * np.abs(columns.exact[part])
         )
 
-    def integrate(self, columns: Columns, path: Array, doubts: Array, d: float) -> None:
+    def integrate(self, columns: Columns, part: slice, path: Array, doubts: Array, d: float) -> None:
         """Add int |G'g| over the panels, from above and from below."""
         if not self.G.shape[1]:
             return
@@ -290,9 +312,9 @@ class BackwardRecursion:
             chord, steep = np.abs(p[1:] + p[:-1]).sum(axis=1), steep * math.sqrt(len(G))
         curve = np.maximum(curve[1:] + off_bend[1:], curve[:-1] + off_bend[:-1]) + d / 2 * steep
         bulge = d**3 / 12 * curve
-        columns.disturbance += LOOSE * (d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge).sum(axis=0)
+        columns.disturbance[part] += LOOSE * (d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge).sum(axis=0)
         below = d / 2 * (chord - off[1:] - off[:-1]) - bulge
-        columns.least += np.maximum(below, 0.0).sum(axis=0) / LOOSE
+        columns.least[part] += np.maximum(below, 0.0).sum(axis=0) / LOOSE
 
     def begun(self, columns: Columns, gains: Array) -> RowBound:
         """Add what is known of the start, or close it where nothing is."""

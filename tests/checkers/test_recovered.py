@@ -398,3 +398,30 @@ def test_a_start_that_nothing_closes_decides_no_factor():
     c = SimpleNamespace(factors={"all": (2.0, np.zeros(1))}, plant=SimpleNamespace(n=1))
     with pytest.raises(Undecided, match="the factor of all could not be decided: its start is not closed"):
         recovered.contradiction(c, SimpleNamespace(run=lambda *given: said))
+
+
+def test_a_file_of_many_rows_over_a_long_gap_needs_little_memory_and_time(monkeypatch):
+    """Costates of every panel and question were one array, and gains of zero were multiplied out as rationals."""
+    made = state_interval(SPRING, [(0.0, [0.1], None), (1.0, [0.1], None)], w_bound=0.1, v_bound=0.3)._sealed()
+    count, row = 200, made["readings"][-1]["rows"][0]
+    made |= {"readings": [{"t": t, "rows": count * [row]} for t in (0.0, 60.0)], "t": 60.0}
+    made["start"]["time"] = 0.0
+    made |= {"gains": 2 * [2 * [2 * count * [0.0]]], "lower": [None, None], "upper": [1e9, None]}
+    held, products = [], []
+    integrate, long = recovered.BackwardRecursion.integrate, recovered.long
+    monkeypatch.setattr(recovered, "long", lambda x: products.append(np.size(x)) or long(x))
+    monkeypatch.setattr(
+        recovered.BackwardRecursion,
+        "integrate",
+        lambda self, columns, part, path, *rest: held.append(path.size) or integrate(self, columns, part, path, *rest),
+    )
+    found = check(from_json(json.dumps(with_digest(made))))
+    assert found["verdict"] == "proven"
+    assert max(held) <= recovered.MOST_HELD
+    assert sum(products) < 10 * count
+
+
+def test_products_of_rationals_are_counted(whole):
+    content = claims.certificate(whole[1])
+    with pytest.raises(Undecided, match="it takes more work than one check may do"):
+        recovered.prove(content, recovered.WorkLimit(10.0))

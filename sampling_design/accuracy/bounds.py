@@ -133,7 +133,7 @@ def _one(name: str, value: Given, names: tuple[str, ...]) -> tuple[Array, Array,
     nothing = np.zeros(len(names))
     if callable(value):
         raise ArgumentError(f"`{name}` must be numbers, got a function: only noise may differ from sample to sample.")
-    if isinstance(value, Mapping):
+    if is_table(value):
         return (*named_bounds(name, value, names, np.inf), False)
     if isinstance(value, tuple) and len(names) == 1 and len(value) == 2:
         half, centre = half_and_centre(name, value)
@@ -290,7 +290,7 @@ class InitialSet:
         n = plant.n_states
         if value is None:
             return cls.box(np.full(n, np.inf))
-        if isinstance(value, Mapping):
+        if is_table(value):
             return cls.box(*named_bounds("initial_error", value, plant.states.names, np.inf))
         if checks.dimensions(value) == 0:
             radius = checks.nonnegative("initial_error", value)
@@ -316,7 +316,7 @@ class InitialSet:
 SEMIDEFINITE = 1e-12  # an eigenvalue of a weight with unit diagonal below this share counts as 0
 
 
-def _half_widths(value: npt.ArrayLike, n: int) -> Array:
+def _half_widths(value: object, n: int) -> Array:
     try:
         half = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -330,7 +330,7 @@ def _half_widths(value: npt.ArrayLike, n: int) -> Array:
 
 
 def named_bounds(
-    argument: str, value: Mapping[str, Entry], names: tuple[str, ...], missing: float
+    argument: str, value: Mapping[str, object], names: tuple[str, ...], missing: float
 ) -> tuple[Array, Array]:
     """Return half-widths and centres of a mapping from names to numbers or pairs (lower, upper).
 

@@ -170,7 +170,7 @@ class MeasurementTable:
         if plain is not None:
             times, y, u, censored = plain
             self._latest, self._held = float(times[-1]), u[-1]
-            kept = np.isfinite(y).any(axis=1) | bool(u.shape[1])
+            kept = np.asarray(np.isfinite(y).any(axis=1) | bool(u.shape[1]))
             kept[list(censored)] = True
             self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
             self.censored += [tuple(censored.get(row, ())) for row in np.flatnonzero(kept).tolist()]

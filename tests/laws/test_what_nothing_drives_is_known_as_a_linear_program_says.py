@@ -79,3 +79,22 @@ def test_a_motion_that_was_beyond_its_noise_before_is_no_witness():
     for start in ([0.1, 0.01], [0.2, 0.0]):  # one has drifted there, one was too large
         forged = replace(witness, states=witness.states + (np.array(start) - witness.states[0]), value=start[0])
         assert not replace(found, witnesses=(forged,), lower=np.array([start[0]])).verify()
+
+
+BESIDE = {
+    "speed": ([[0.0, 1.0], [0.0, 0.0]], [1.0, 0.0]),
+    "level": ([[-0.4, 0.0], [0.0, 0.0]], [1.0, 1.0]),
+    "oscillator": ([[-0.4, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], [1.0, 1.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("units", [1.0, 1e6])
+@pytest.mark.parametrize("name", BESIDE)
+def test_what_is_driven_beside_it_is_attained_from_rest(name, units):
+    """A state that w can hold at the sensor's noise is off by as much; what is not driven stays at rest meanwhile."""
+    A, c = np.array(BESIDE[name][0]), np.array(BESIDE[name][1])
+    sizes = np.where(np.arange(len(A)) % 2, units, 1 / units)
+    plant = sd.Plant(A * sizes[:, None] / sizes, [c / sizes], G=sizes[:, None] * np.eye(len(A))[:, :1])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([0.9]), w_bound=0.1, v_bound=0.2, of="x1")
+    assert found.lower[0] >= 0.99 * 0.2 * sizes[0]
+    assert found.verify()

@@ -8,6 +8,7 @@ its gains also bound the error once and for all (`reach`), which is what an endl
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -26,6 +27,10 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 
 EXACT = 1e-6  # size given to an exact sensor, in units of what w does to its output over a period: for scaling only
+
+COARSER = (1e-5, 1e-4, 1e-3, 1e-2)
+"""Noise that the filter takes a sensor to have at least, in units of what w does to a period's outputs, until its
+covariance settles: for scaling only."""
 
 RANDOM_WALK = 1e-3
 """Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
@@ -304,13 +309,14 @@ def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Arr
     N = [basis[:, :r] for basis in bases]
     inner = np.array([N[(j + 1) % count].T @ F[j] @ N[j] for j in range(count)])
     driven = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
-    P, roots = _covariances(inner, driven, [H @ X for H, X in zip(rows, N, strict=True)])
+    P, roots, shares = _settled(inner, driven, [H @ X for H, X in zip(rows, N, strict=True)])
     L, samples = np.zeros_like(F), []
     for j, H in enumerate(rows):
         output = H @ N[j]
         root = roots[j]
         L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
-        K = np.vstack([np.linalg.solve(root, update_with_gain(P[j], output)[1]), np.zeros((len(A) - r, len(H)))])
+        gain = update_with_gain(P[j], output * shares[j][:, None])[1] * shares[j]
+        K = np.vstack([np.linalg.solve(root, gain), np.zeros((len(A) - r, len(H)))])
         scaled_rows = H @ L[j]
         scaled_rows[:, r:] = 0.0
         samples.append(MeasurementModel(bounds.measured(j), sizes[j], scaled_rows, exact[j], K))
@@ -363,6 +369,26 @@ def noise_units(C: Array, bounds: SignalBounds, W: Array) -> tuple[list[Array], 
         sizes.append(size)
         exact.append(v == 0)
     return rows, sizes, exact
+
+
+def _settled(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array], list[Array]]:
+    """`_covariances` with their own noise or the first of `COARSER` that lets them settle, and rows' shares then.
+
+    Of sensors that are nearly exact a covariance has no digit left across what they show. Coordinates and gains need
+    none: what these prove is counted with the sensor's own noise.
+    """
+    reached = [np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", H, W, H), 0.0)) for H in rows]
+    most = max((float(each.max(initial=0.0)) for each in reached), default=0.0)
+
+    def settled(coarser: float) -> tuple[list[Array], list[Array], list[Array]]:
+        shares = [1 / np.maximum(1.0, coarser * each) for each in reached]
+        return *_covariances(F, W, [H * own[:, None] for H, own in zip(rows, shares, strict=True)]), shares
+
+    *tried, last = (0.0, *(coarser for coarser in COARSER if coarser * most > 1))
+    for coarser in tried:
+        with suppress(UndecidedError):
+            return settled(coarser)
+    return settled(last)
 
 
 def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:

@@ -98,3 +98,29 @@ def test_what_is_driven_beside_it_is_attained_from_rest(name, units):
     found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([0.9]), w_bound=0.1, v_bound=0.2, of="x1")
     assert found.lower[0] >= 0.99 * 0.2 * sizes[0]
     assert found.verify()
+
+
+EXACT = {
+    "driven": ([[0.0, 1.0], [0.0, 0.0]], [[0.36, 0.006]], [[-0.9], [0.17]], [0.7]),
+    "one of two": (
+        np.diag([-4.3, -0.07, -0.08]),
+        [[2.0, -0.5, 2.0], [0.7, -0.6, 0.5]],
+        [[-1.5], [-0.5], [0.03]],
+        [0.6],
+    ),
+}
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9])
+@pytest.mark.parametrize("name", EXACT)
+def test_an_exact_sensor_is_the_limit_of_a_nearly_exact_one(name, unit):
+    A, C, G, gaps = EXACT[name]
+    plant, schedule = sd.Plant(A, np.asarray(C) * unit, G=G), sd.PeriodicSchedule(gaps)
+    below, above = 0.0, 0.0
+    for size in (0.0, 1e-9, 1e-4):
+        noise = unit * np.array([size, 0.2])[: len(C)]
+        found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=noise, of="x1")
+        assert found.upper[0] >= max(0.98 * above, below)
+        assert found.upper[0] <= 1.02 * above + 2e-3 or not above
+        below, above = float(found.lower[0]), float(found.upper[0])
+        assert 0 < below <= above

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import product_quotient, smallest_singular
 from sampling_design.observability.windows.bracket import ALLOWANCE
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers
@@ -68,6 +69,8 @@ def _product(A: list[list[Fraction]], B: list[list[Fraction]]) -> list[list[Frac
 
 _EPS = float(np.finfo(float).eps)
 _SURVEY = 128  # times at which the plant is looked at to choose coordinates; no bound rests on them
+_PAIRED = 33  # times, of which each may follow each: where a rounding of A is looked at
+_MARGIN = 8.0  # what the first order of rounding is taken times
 _GOLDEN = (np.sqrt(5.0) - 1) / 2  # spreads those times evenly and in step with no oscillation
 _LEAST_SLACK = 1e-9  # of the window, where samples move: more schedules than there are, so that cells have a width
 
@@ -131,13 +134,16 @@ class SpacedRows:
         Rows over the whole window, weighted to the size of k samples.
     grade : float
         Relative error granted to C e^{A tau}, of |C||e^{A tau}|.
+    astray : float, optional
+        Where A and C were worked out in coordinates `within` which all is seen alike: what their own rounding may do to
+        |C e^{A tau} z|. The error of entries is then granted entry by entry, since what is large is hardly seen there.
     """
 
     def __init__(
         self, plant: Plant, window: float, count: int, spacing: float, late: TimingTolerance = ON_TIME
     ) -> None:
         self.A, self.C, self.n, self.p = plant.A, plant.C, plant.n_states, plant.n_outputs
-        self.plant, self.window, self.count = plant, window, count
+        self.plant, self.window, self.count, self.late = plant, window, count, late
         self.spacing, self.offsets = spacing, spacing * np.arange(count)
         self.groups, whole = output_groups(plant.C, late), window + late.span
         self.lags, self.moving = np.array([group.lag for group in self.groups]), bool(late)
@@ -156,6 +162,7 @@ class SpacedRows:
             )
         self.survey = np.concatenate(self.C @ flow) * np.sqrt(count / (_SURVEY + 1))
         self.grade = ALLOWANCE * max(1.0, float(np.abs(self.A).sum(axis=0).max(initial=0.0)) * whole / 200)
+        self.astray: float | None = None
         self.middle = self.at(np.zeros(1))[0] if self.moving else self.C
 
     def times(self, slacks: Array) -> Array:
@@ -210,13 +217,60 @@ class SpacedRows:
         scale = np.maximum(singular, max(self.n * _EPS * float(singular[0]), 1e-300))
         return right.T / scale, scale[:, None] * right
 
+    def within(self, inverse: Array) -> tuple[SpacedRows, Array] | None:
+        """The same rows of z = R x, R triangular with |Rx| = |inverse x|, and R^-1; None where e^{At} overflows there.
+
+        Worked out in doubled precision: what grows within the window and is seen well costs the others no digits.
+        """
+        R, eye = np.asarray(np.linalg.qr(inverse, mode="r")), np.eye(self.n)
+        with np.errstate(over="ignore", invalid="ignore"):
+            A, C, back = (product_quotient(P, Q, R) for P, Q in ((R, self.A), (self.C, eye), (eye, eye)))
+            try:
+                inner = SpacedRows(Plant(A, C), self.window, self.count, self.spacing, self.late)
+            except ArgumentError:
+                return None
+        inner.astray = inner._turned_by(_EPS * (np.abs(A) + _EPS * np.linalg.cond(R) * np.abs(A).max(axis=1)[:, None]))
+        return inner, back
+
+    def _turned_by(self, error: Array) -> float:
+        """How far C e^{At} z may be moved, |z| = 1, if entries of A are off by `error`: to first order, with a margin.
+
+        By at most t C e^{A(t-s)} error e^{As} for some s.
+        """
+        whole = self.window + self.late.span
+        times = np.linspace(0.0, whole, _PAIRED)
+        flow = np.abs(self.plant.transition(times))
+        seen = np.abs(self.C) @ flow if self.n else np.zeros((_PAIRED, self.p, 0))
+        later = np.linalg.norm(error @ flow, axis=2)
+        both = np.linalg.norm(np.einsum("apn,bn->abp", seen, later), axis=2)
+        return _MARGIN * whole * float(both[np.add.outer(times, times) <= whole * (1 + 1e-9)].max())
+
     def blur(self, times: Array) -> Array:
-        """How far rounding in the exponentials can move |C e^{A tau} x|, |x| = 1, for each of `times` (N,)."""
-        flow = np.linalg.norm(self.plant.transition(times), axis=(1, 2))
-        return np.asarray(self.grade * float(np.linalg.norm(self.C)) * flow)
+        """How far rounding can move |C e^{A tau} z|, |z| = 1, for each of `times` (N,)."""
+        flow = self.plant.transition(times)
+        if self.astray is None:
+            return np.asarray(self.grade * float(np.linalg.norm(self.C)) * np.linalg.norm(flow, axis=(1, 2)))
+        return np.asarray(self.grade * np.linalg.norm(np.abs(self.C) @ np.abs(flow), axis=(1, 2)) + self.astray)
 
     def rounding(self, slacks: Array, moves: Array | float = 0.0) -> float:
-        """How far rounding in the exponentials can move sigma of one schedule (k,)."""
+        """How far rounding in the exponentials can move sigma of one schedule (k,).
+
+        No further than it moves rows of x. Where it moves those of z = R x by d, and they see every z by s |z| at
+        least, the truth is within d/s of min |Oz|/|x|, since |Ox| >= s |z|; from there to what rows of x say is known.
+        """
+        of_x, found = self._blurred(slacks, moves), self.within(self.coordinates(slacks, moves)[1])
+        if found is None or of_x == 0.0:
+            return of_x
+        inner, back = found
+        seen = np.asarray(np.linalg.qr(inner.observed(slacks[None], moves)[0], mode="r"))
+        least, sigma = (float(smallest_singular(r)) for r in (seen, self.observed(slacks[None], moves)[0]))
+        if least <= 0.0 or len(seen) < self.n:
+            return of_x
+        of_z = 1 / float(np.linalg.norm(np.linalg.solve(seen.T, back.T), 2))
+        return min(of_x, abs(sigma - of_z) + inner._blurred(slacks, moves) / least * of_z)
+
+    def _blurred(self, slacks: Array, moves: Array | float) -> float:
+        """How far it moves the rows of one schedule."""
         return float(np.linalg.norm(self.blur(self.readings(self.times(slacks), moves).ravel())))
 
     def counts_as_zero(self, sigma: float, slacks: Array, moves: Array | float = 0.0) -> bool:

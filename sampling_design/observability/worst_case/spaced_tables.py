@@ -122,10 +122,10 @@ class SphereTables:
         with np.errstate(all="ignore"):
             there, back = rows.plant.transition(np.array([rows.slack, -rows.slack]))
             self.pulled = bool(np.linalg.norm(there) * np.linalg.norm(back) < _CONDITION)
-        self.basis, inverse = rows.coordinates(worst - worst[0] if self.pulled else worst, moves)
+        self.basis, self.inverse = rows.coordinates(worst - worst[0] if self.pulled else worst, moves)
         turn = self._rotation(worst)
-        self.basis, inverse = self.basis @ turn, turn.T @ inverse
-        inner = inverse @ rows.A @ self.basis
+        self.basis, self.inverse = self.basis @ turn, turn.T @ self.inverse
+        inner = self.inverse @ rows.A @ self.basis
         self.speed = float(np.linalg.norm(inner, 2))
         # the logarithmic norm bounds |e^{+-A t}| far better than the norm: oscillators hardly grow
         self.growth = max(0.0, float(np.abs(np.linalg.eigvalsh((inner + inner.T) / 2)).max(initial=0.0)))

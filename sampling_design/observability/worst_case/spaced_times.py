@@ -37,11 +37,11 @@ _FEWEST_STATES = 5  # below, cells of directions are few
 _MOST_SAMPLES = 12  # beyond, times are too many
 _LEAST_SPACING = 1 / 64  # of the slack: clusters that are narrower need a finer grid than this
 _STAGES = (0.25, 1.0)  # of the wanted sigma: a search that is cut short has proven something
-_BATCH = 120_000  # numbers per batch of matrices
+_BATCH = 400_000  # numbers per batch of matrices
 _MOST_CELLS = 2_000_000  # open at once
-_TURNS = 4  # towards the best factors
+_TURNS = 10  # towards the best factors
 _FARTHER = 0.3  # how much counts what a window moves beside what it takes
-_CENTRAL = 0.05  # of the spread of eigenvalues: how far from the weakest direction the factors look
+_CENTRAL = 0.06  # of the spread of eigenvalues, at first: how far from the weakest direction the factors look
 _LONGEST = 1e100  # stands for what overflows: such a sample is left out
 _STRETCHED = 1e12  # the most by which N may grow within a window of starts that proves anything
 _BETWEEN = 64  # parts of a finest cell at which the growth within it is looked at
@@ -75,14 +75,17 @@ def prove_by_times(
     None where states cannot be carried from the first sample back to the window's start.
     """
     tables = SphereTables(rows, found.slacks, rtol / 100, found.moves)
-    return _TimeSearch(rows, tables, found, rtol).run(Budget(seconds), progress) if tables.pulled else None
+    inner = rows.within(tables.inverse) if tables.pulled else None
+    if inner is None:
+        return None
+    return _TimeSearch(rows, _CellBounds(rows, *inner, tables.forgiven), found, rtol).run(Budget(seconds), progress)
 
 
 class _TimeSearch:
     """Cells of times stage by stage: what is proven at one is looked at again at the next."""
 
-    def __init__(self, rows: SpacedRows, tables: SphereTables, found: AttainedSchedule, rtol: float) -> None:
-        self.rows, self.best, self.rtol, self.bounds = rows, found, rtol, _CellBounds(rows, tables)
+    def __init__(self, rows: SpacedRows, bounds: _CellBounds, found: AttainedSchedule, rtol: float) -> None:
+        self.rows, self.best, self.rtol, self.bounds = rows, found, rtol, bounds
         zero: Integers = np.zeros((1, rows.count), dtype=np.int32)
         last: Integers = zero + np.int32(_FINEST)
         last[:, 0] = 0  # the first sample is where the state is taken
@@ -116,16 +119,16 @@ class _TimeSearch:
         """One batch: why the search ends, or nothing."""
         if budget.over or sum(len(part.share) for part in self.open + self.proven) > _MOST_CELLS:
             return "budget"
-        cells = self._taken()
+        cells, better = self._taken(), None
         if len(cells.share):
             self.cells += len(cells.share)
             mu = _STAGES[self.stage] ** 2 * self.wanted
-            done, moved, stretched = self.bounds.of(cells, mu)
-            self.proven.append(cells.take(done))
+            done, sure, moved, stretched = self.bounds.of(cells, mu, self.wanted)
+            self.proven.append(cells.take(done & ~sure))
             self.settled += float(np.sum(cells.share[done]))
             cells, moved, stretched = cells.take(~done), moved[~done], stretched[~done]
             if len(cells.share):
-                self._improve(cells)
+                better = self._improved(cells)
                 if not self._cut(cells, moved, stretched):
                     return "rounding"
         if progress is not None:
@@ -134,9 +137,7 @@ class _TimeSearch:
             progress(share, f"worst case sigma: {left} cells open, at least {self.lower:.6g}")
         if not self.open:
             self.open, self.proven, self.stage, self.settled = self.proven, [], self.stage + 1, 0.0
-        if self.rows.counts_as_zero(self.best.sigma, self.best.slacks, self.best.moves):
-            return "rounding"
-        return ""
+        return "rounding" if better and self.rows.counts_as_zero(better.sigma, better.slacks, better.moves) else ""
 
     def _taken(self) -> TimeWindows:
         """A batch of the cells that came last, without starts that leave the last sample no room."""
@@ -155,15 +156,17 @@ class _TimeSearch:
         self.settled += float(np.sum(cells.share[~fits]))
         return cells.take(fits)
 
-    def _improve(self, cells: TimeWindows) -> None:
-        """Follow the centre of the narrowest cell if it beats the attained schedule."""
+    def _improved(self, cells: TimeWindows) -> AttainedSchedule | None:
+        """Follow the centre of the narrowest cell if it beats the attained schedule; None if it does not."""
         narrowest = int(np.argmin(np.sum(cells.last - cells.first, axis=1)))
         slacks = self.bounds.slacks[(cells.first[narrowest] + cells.last[narrowest]) // 2]
         start = self.bounds.slacks[cells.earliest[narrowest]]
         here = worst_of(self.rows, np.minimum(slacks + start, self.rows.slack)[None])
-        if here.sigma < self.best.sigma * (1 - 1e-9):
-            better = polish(self.rows, here.slacks, here.moves, self.rows.slack / _FINEST)
-            self.best = min(here, better, key=lambda a: a.sigma)
+        if here.sigma >= self.best.sigma * (1 - 1e-9):
+            return None
+        better = polish(self.rows, here.slacks, here.moves, self.rows.slack / _FINEST)
+        self.best = min(here, better, key=lambda a: a.sigma)
+        return self.best
 
     def _cut(self, cells: TimeWindows, moved: Array, stretched: Array) -> bool:
         """Halve in each cell the window that takes most; False where one is too narrow to be cut."""
@@ -191,166 +194,170 @@ class _TimeSearch:
 class _CellBounds:
     """Rows with three derivatives at all points of the finest grid, and what lies below G in cells of times."""
 
-    def __init__(self, rows: SpacedRows, tables: SphereTables) -> None:
-        self.forgiven, self.growth, self.basis = tables.forgiven, tables.growth, tables.basis
-        self.count, self.n, self.wide = rows.count, rows.n, rows.slack / _FINEST
+    def __init__(self, rows: SpacedRows, inner: SpacedRows, basis: Array, forgiven: float) -> None:
+        self.forgiven, self.count, self.n, self.wide = forgiven, rows.count, rows.n, rows.slack / _FINEST
         self.slacks = rows.slack * np.arange(_FINEST + 1) / _FINEST
-        times, L = rows.times(self.slacks[:, None]).T, float(np.linalg.norm(self.basis))
-        flow = rows.plant.transition(times.ravel())
-        values = rows.C @ flow
-        size = np.linalg.norm(values, axis=(1, 2))
-        astray = rows.grade * float(np.linalg.norm(rows.C)) * np.linalg.norm(flow, axis=(1, 2))
-        astray = (astray + 2 * self.n * _EPS * size) * L
+        times, A = rows.times(self.slacks[:, None]).T, inner.A
+        self.growth = float(np.abs(np.linalg.eigvalsh((A + A.T) / 2)).max(initial=0.0)) * (1 + 1e-9)
+        values, astray = inner.C @ inner.plant.transition(times.ravel()), inner.blur(times.ravel())
         shape, self.rows = (*times.shape, rows.p, rows.n), []
         for _ in range(3):
-            self.rows.append((values @ self.basis).reshape(shape))
-            values = values @ rows.A
-        self.third = np.linalg.norm(values @ self.basis, axis=(1, 2)).reshape(times.shape) * (1 + 1e-9)
-        rate = 2 * float(np.linalg.norm(rows.A))
+            self.rows.append(values.reshape(shape))
+            values = values @ A
+        self.third = np.linalg.norm(values, axis=(1, 2)).reshape(times.shape) * (1 + 1e-9)
+        rate = 2 * float(np.linalg.norm(A))
         self.astray = [(astray * rate**j).reshape(times.shape) for j in range(3)]
         self.rounding = 16 * (rows.count + rows.n + rows.p) ** 1.5 * _EPS
-        back = rows.plant.transition(-self.slacks)
-        start = back @ self.basis
+        back = inner.plant.transition(-self.slacks)
+        start = basis @ back
         self.norm = np.swapaxes(start, 1, 2) @ start
-        length = np.linalg.norm(start, axis=(1, 2))
-        self.lost = 3 * rows.grade * np.linalg.norm(back, axis=(1, 2)) * L * length + self.rounding * length**2
-        self.stretch = self._stretches(rows, np.linalg.norm(back, 2, axis=(1, 2)))
+        summed, length = (np.linalg.norm(part, axis=(1, 2)) for part in (np.abs(basis) @ np.abs(back), start))
+        self.lost = 3 * inner.grade * summed * length + self.rounding * length**2
+        self.stretch = self._stretches(rows)
 
-    def _stretches(self, rows: SpacedRows, back: Array) -> Array:
+    def _stretches(self, rows: SpacedRows) -> Array:
         """At least |e^{As}|^2 for all |s| up to each point of the grid."""
         parts = self.wide * np.arange(_BETWEEN + 1) / _BETWEEN
         rate = float(np.abs(np.linalg.eigvalsh((rows.A + rows.A.T) / 2)).max(initial=0.0))
         with np.errstate(over="ignore"):
             most = max(np.linalg.norm(rows.plant.transition(s * parts), 2, axis=(1, 2)).max() for s in (1.0, -1.0))
             between = float(most) * np.exp(rate * self.wide / (2 * _BETWEEN))
-            there = np.linalg.norm(rows.plant.transition(self.slacks), 2, axis=(1, 2))
+            there, back = (np.linalg.norm(rows.plant.transition(s * self.slacks), 2, axis=(1, 2)) for s in (1.0, -1.0))
             found = (np.maximum.accumulate(np.maximum(there, back)) * between * (1 + 1e-9)) ** 2
         found[0] = 1.0
         return np.asarray(found)
 
-    def of(self, cells: TimeWindows, mu: float) -> tuple[Mask, Array, Array]:
-        """Which cells have sigma^2 >= mu; else what each window of slacks moves (m, k), what that of starts takes (m,).
+    def of(self, cells: TimeWindows, mu: float, enough: float) -> tuple[Mask, Mask, Array, Array]:
+        """Which cells have sigma^2 >= mu, and >= enough; what each window of slacks moves (m, k), and of starts (m,).
 
-        Both in the states that the cell sees least: a length, and a square of one.
+        The last two in the states that the cell sees least: a length, and a square of one.
         """
-        m, k, n = len(cells.share), self.count, self.n
         at, half = (cells.first + cells.last) // 2, (cells.last - cells.first + 1) // 2 * self.wide
-        sample, away = np.arange(k), (cells.latest - cells.earliest + 1) // 2
+        sample, away = np.arange(self.count), (cells.latest - cells.earliest + 1) // 2
         start, stretch = (cells.earliest + cells.latest) // 2, self.stretch[away]
         whole = stretch < _STRETCHED
         stretch = np.minimum(stretch, _STRETCHED)
-        norm = (mu * stretch)[:, None, None] * (self.norm[start] + self.lost[start][:, None, None] * np.eye(n))
-        seen, astray = ([part[sample, at] for part in parts] for parts in (self.rows, self.astray))
-        reach = [np.ones_like(half), half, half**2 / 2]
-        grams = [np.swapaxes(r, 2, 3) @ (r * (d * d)[..., None, None]) for r, d in zip(seen, reach, strict=True)]
+        norm = (mu * stretch)[:, None, None] * (self.norm[start] + self.lost[start][:, None, None] * np.eye(self.n))
+        astray = [part[sample, at] for part in self.astray]
+        reach = (np.ones_like(half), half, half**2 / 2)
+        rows = np.stack([r[sample, at] * d[..., None, None] for r, d in zip(self.rows, reach, strict=True)], axis=1)
         with np.errstate(over="ignore"):
             beyond = half**3 / 6 * self.third[sample, at] * np.exp(self.growth * half)
         beyond = np.minimum(beyond + half * astray[1] + half**2 / 2 * astray[2], _LONGEST)
         lost = 2 * astray[0] ** 2 / self.forgiven / (1 - self.forgiven)
-        forms = _CellForms.of([g.reshape(m, k, n * n) for g in grams], beyond, lost, norm)
-        done, states = self._decided(forms)
-        moved = _sizes(grams[1].reshape(m, k, n * n), states) + _sizes(grams[2].reshape(m, k, n * n), states)
-        moved += beyond * _length(states)
-        observed = _sizes(forms.observed, states)
+        forms = _CellForms.of(rows, beyond, lost, norm)
+        done, sure, states = self._decided(forms, enough / mu)
+        observed, turned, bent = forms.sizes(states)
+        moved = turned + bent + beyond * forms.length(states)
         gained = np.where(moved < observed, moved * (2 * observed - moved), observed**2)
         moved = np.sqrt(gained) + _FARTHER * moved
-        return done & whole, moved, (1 - 1 / stretch) * np.sum(norm * states, axis=(1, 2))
+        return done & whole, sure & whole, moved, (1 - 1 / stretch) * np.sum(forms.needed * states, axis=(1, 2))
 
-    def _decided(self, forms: _CellForms) -> tuple[Mask, Array]:
-        """In which cells some M - mu N is positive definite; and the states (m, n, n) that each sees least.
+    def _decided(self, forms: _CellForms, more: float) -> tuple[Mask, Mask, Array]:
+        """In which cells some M - mu N is positive definite, and M - more mu N; the states (m, n, n) each sees least.
 
         No factors prove anything where these states by themselves see less: such a cell needs no further turns.
         """
-        done, states = np.zeros(len(forms.norm), dtype=bool), forms.states.copy()
+        done, states = np.zeros((2, len(forms.norm)), dtype=bool), forms.states.copy()
         left: Integers = np.arange(len(forms.norm))
-        mean, rough = np.zeros_like(forms.norm), np.zeros_like(forms.norm[:, 0, 0])
+        mean, last = np.zeros((len(left), *forms.rows.shape[1:3])), np.zeros(len(left))
         for turn in range(_TURNS):
-            found, size, worth = self._below(forms)
-            on = worth >= 0 if turn else np.ones(len(left), dtype=bool)
-            left, mean, rough, forms = left[on], mean[on], rough[on], forms.take(on)
-            found, size = found[on], size[on]
+            factors, least, worth = self._factors(forms)
             step = 2 / (turn + 2)  # the last of them counts most
-            mean, rough = mean + step * (found - mean), rough + step * (size - rough)
-            turned = np.swapaxes(forms.white, 1, 2)
-            level, axes = np.linalg.eigh(forms.white @ (mean - forms.norm) @ turned)
-            axes = turned @ axes
-            away = level - level[:, :1] + _CENTRAL * (level[:, -1:] - level[:, :1]) + _TINY
+            mean, last = mean + step * (factors - mean), last + step * (least - last)
+            level, axes = np.linalg.eigh(forms.above(mean, last))
+            away = level - level[:, :1] + _CENTRAL / (turn + 1) * (level[:, -1:] - level[:, :1]) + _TINY
             forms = forms._replace(states=(axes / away[:, None, :]) @ np.swapaxes(axes, 1, 2))
             states[left] = forms.states
             good = np.flatnonzero(level[:, 0] > 0)
-            weakest = np.linalg.eigvalsh(mean[good] - forms.norm[good])[:, 0]
-            done[left[good]] = weakest > self.rounding * (rough + _traces(forms.norm))[good]
-            on = ~done[left]
-            left, mean, rough, forms = left[on], mean[on], rough[on], forms.take(on)
+            for which, times in enumerate((1.0, more)):
+                done[which, left[good]] = self._is_above(forms.take(good), mean[good], last[good], times)
+            on = ~done[0, left] & (worth >= 0 if turn else True)
+            left, mean, last, forms = left[on], mean[on], last[on], forms.take(on)
             if not left.size:
                 break
-        return done, states
+        return done[0], done[1], states
 
-    def _below(self, forms: _CellForms) -> tuple[Array, Array, Array]:
-        """A matrix M below G in each cell, what it is rounded from, and what is left of its states beyond mu N."""
-        n, beyond = self.n, forms.beyond
-        u = _sizes(forms.observed, forms.states)
-        v = [_sizes(forms.turning, forms.states), _sizes(forms.bending, forms.states), beyond * _length(forms.states)]
+    def _is_above(self, forms: _CellForms, factors: Array, last: Array, times: float) -> Mask:
+        """Where M - times mu N is positive definite, in the rows as they are, by more than rounding."""
+        sizes = np.sum(forms.rows**2, axis=(3, 4))
+        rough = np.sum(np.abs(factors) * sizes, axis=(1, 2)) + last + times * _traces(forms.norm)
+        found = _sum_of_squares(forms.rows, factors) - last[:, None, None] * np.eye(self.n) - times * forms.norm
+        return np.asarray(np.linalg.eigvalsh(found)[:, 0] > self.rounding * rough)
+
+    def _factors(self, forms: _CellForms) -> tuple[Array, Array, Array]:
+        """Factors (m, 3, k) of the squares in a matrix M below G, what it lacks of I, and its worth in the states."""
+        (u, *v), beyond = forms.sizes(forms.states), forms.beyond
+        v.append(beyond * forms.length(forms.states))
         total = v[0] + v[1] + v[2] + _TINY
         part = np.clip(total / np.maximum(u, _TINY), 1e-12, 1.0)
         taken = (1 / part - 1) * total / (1 - self.forgiven)
         kept, *less = 1 - part, *(taken / np.maximum(each, _TINY) for each in v)
         last = np.sum(less[2] * beyond**2 + kept * forms.lost, axis=1)
-        pairs = (kept, forms.observed), (-less[0], forms.turning), (-less[1], forms.bending)
-        found = np.sum([f[:, None, :] @ g for f, g in pairs], axis=0).reshape(-1, n, n)
-        size = np.sum([np.abs(f) * np.sum(g[..., :: n + 1], axis=2) for f, g in pairs], axis=(0, 2)) + last
-        worth = np.sum(np.maximum(u - total, 0.0) ** 2, axis=1) - np.sum(forms.norm * forms.states, axis=(1, 2))
-        return found - last[:, None, None] * np.eye(n), size, worth
+        worth = np.sum(np.maximum(u - total, 0.0) ** 2, axis=1) - np.sum(forms.needed * forms.states, axis=(1, 2))
+        return np.stack([kept, -less[0], -less[1]], axis=1), last, worth
 
 
 class _CellForms(NamedTuple):
-    """Gram matrices of each cell: of rows at its centre, of what they turn and bend, and what they are compared with.
+    """Rows of each cell: at its centre, and how they turn and bend; and what their squares are compared with.
 
-    observed, turning, bending : (m, k, n n) arrays
-        R'R, and those of d R' and of (d^2/2) R''.
+    rows : (m, 3, k, p, n) array
+        R, d R' and (d^2/2) R''.
     beyond, lost : (m, k) arrays
         What more R may move, |z| = 1, and what rounding takes from |Rz|^2.
-    norm, white : (m, n, n) arrays
-        mu N with all that it may grow, and W with W (G + mu N) W' = I, about.
-    states : (m, n, n) array
-        Those that are seen least, X >= 0.
+    norm : (m, n, n) array
+        mu N with all that it may grow.
+    turned, needed, unit, states : arrays
+        In the coordinates Wz where G + mu N is I, about: the rows (m, 3 k p, n), mu N and I (m, n, n), and the states
+        X >= 0 (m, n, n) that are seen least.
     """
 
-    observed: Array
-    turning: Array
-    bending: Array
+    rows: Array
     beyond: Array
     lost: Array
     norm: Array
-    white: Array
+    turned: Array
+    needed: Array
+    unit: Array
     states: Array
 
     @classmethod
-    def of(cls, grams: list[Array], beyond: Array, lost: Array, norm: Array) -> _CellForms:
+    def of(cls, rows: Array, beyond: Array, lost: Array, norm: Array) -> _CellForms:
         """At first all states count, each as much as it is seen."""
-        n = norm.shape[1]
-        whole = grams[0].sum(axis=1).reshape(norm.shape) + norm
+        m, n = norm.shape[:2]
+        centre = rows[:, 0].reshape(m, -1, n)
+        whole = np.swapaxes(centre, 1, 2) @ centre + norm
         root = np.linalg.cholesky(whole + (1e-9 / n * _traces(whole))[:, None, None] * np.eye(n))
         white = np.linalg.solve(root, np.broadcast_to(np.eye(n), whole.shape))
-        observed, turning, bending = grams
-        states = np.swapaxes(white, 1, 2) @ white
-        return cls(observed, turning, bending, beyond, lost, norm, white, states)
+        back = np.swapaxes(white, 1, 2)
+        states = np.broadcast_to(np.eye(n), whole.shape)
+        return cls(rows, beyond, lost, norm, rows.reshape(m, -1, n) @ back, white @ norm @ back, white @ back, states)
 
-    def take(self, index: Mask) -> _CellForms:
+    def sizes(self, states: Array) -> Array:
+        """The root of <R'R, X> for each kind of row and sample, (3, m, k)."""
+        squares = np.einsum("mij,mij->mi", self.turned @ states, self.turned).reshape(self.rows.shape[:4])
+        return np.asarray(np.sqrt(np.maximum(squares.sum(axis=3), 0.0)).swapaxes(0, 1))
+
+    def length(self, states: Array) -> Array:
+        """The root of the states' trace, (m, 1)."""
+        return np.asarray(np.sqrt(np.einsum("mij,mij->m", self.unit, states)))[:, None]
+
+    def above(self, factors: Array, last: Array) -> Array:
+        """M - mu N in the coordinates Wz."""
+        turned = self.turned.reshape(self.rows.shape)
+        return np.asarray(_sum_of_squares(turned, factors) - last[:, None, None] * self.unit - self.needed)
+
+    def take(self, index: Integers | Mask) -> _CellForms:
         """The cells at `index`."""
         return _CellForms._make(a[index] for a in self)
+
+
+def _sum_of_squares(rows: Array, factors: Array) -> Array:
+    """The sum of f R'R over rows (m, 3, k, p, n) and their factors (m, 3, k)."""
+    flat = (len(rows), int(np.prod(rows.shape[1:-1])), rows.shape[-1])
+    return np.asarray(np.swapaxes((factors[..., None, None] * rows).reshape(flat), 1, 2) @ rows.reshape(flat))
 
 
 def _traces(matrices: Array) -> Array:
     """The trace of each matrix, (m,)."""
     return np.asarray(np.trace(matrices, axis1=1, axis2=2))
-
-
-def _sizes(grams: Array, states: Array) -> Array:
-    """The root of <g, X> for the Gram matrices (m, k, n n) and the states X (m, n, n), (m, k)."""
-    return np.asarray(np.sqrt(np.maximum((grams @ states.reshape(len(states), -1, 1))[..., 0], 0.0)))
-
-
-def _length(states: Array) -> Array:
-    """The root of the trace, (m, 1)."""
-    return np.asarray(np.sqrt(_traces(states)))[:, None]

@@ -13,7 +13,8 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.planning.covering import CoveringRows, Key, relaxed
-from sampling_design.planning.evidence import CostProof, CostTree
+from sampling_design.planning.evidence import CostProof, CostTree, every_choice_judged
+from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.records.arrays import Array
@@ -102,6 +103,7 @@ class CostProver:
     pool: HiddenTrajectories
     work: Budget
     find: Finder | None = None
+    grid_filter: GridFilter | None = None
 
     def least_cost(
         self, level: float, target: float, keys: Sequence[Key] = (), *, decide: bool = False, ask: bool = True
@@ -109,12 +111,16 @@ class CostProver:
         """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes, and work, can.
 
         `decide`: nothing below the target is of use, so that the proof ends with the first choice that costs less.
+        Standard deviations of few choices are worked out one by one: fractions of samples average what none can.
         Unless `ask`, nothing new joins the pool.
         """
         find = self.find if ask else None
         counted = self._counted(level, target) if find is not None else None
         if counted is not None:
             return counted
+        judges = None if decide else self.grid_filter
+        if judges is not None and every_choice_judged(self.covering, judges, level, target):
+            return CostProof(level, target, (), CostTree(), judged=True)
         found, _ = separated(self.covering, self.pool, level, list(keys), self.work, target)
         proof = _ProofTree(self, level, target, found, self.work, find, decide, MOST_NODES).proof()
         if decide or proof.value >= target or self.work.over:

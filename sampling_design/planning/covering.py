@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
+from math import comb
 from typing import TypeAlias
 
 import numpy as np
@@ -32,6 +34,7 @@ ENTRIES, FEWEST = 4_000_000, 40
 ROUNDING = 1e-9  # relative allowance for rounding in what multipliers prove
 NEAR = 5e-4  # a choice is cheap enough within this share; how many trajectories it sees decides no finer
 OPEN_ROW = 1e3  # price of a row left open, in units of the dearest variable's: what has no choice becomes this dear
+TIE = 1e-9  # costs are equal within this share
 GRAIN = 1e-6  # costs are whole multiples of a grain within this share of it
 
 
@@ -116,6 +119,34 @@ class CoveringRows:
         if self.grain <= 0 or not np.isfinite(bound):
             return bound
         return float(np.ceil(bound / self.grain - GRAIN) * self.grain)
+
+    def most_samples(self, below: float) -> int:
+        """Samples of a choice below a cost and within the limits, at most; -1 where more than their number counts."""
+        problem, cost, (A, b) = self.problem, self.cost, self.frame
+        plain = problem.spacing <= 1 and bool(np.all(problem.sensor_spacing[self.used] <= 1))
+        plain = plain and bool(np.all(problem.longest_use[self.used] >= problem.steps))
+        if not (plain and self.whole and cost[0] > 0 and np.all(cost == cost[0])):
+            return -1
+        fewer = [np.ceil(below / float(cost[0]) * (1 - TIE)) - 1] if np.isfinite(below) else []
+        fewer += [np.floor(b[row] / A[row, 0] * (1 + TIE)) for row in self.limits]
+        return int(min(fewer)) if fewer else -1
+
+    def choices(self, count: int, most: int) -> Index | None:
+        """All choices of so many steps (B, count), one of those that are turns of each other; None if beyond `most`.
+
+        Each begins within what repeats of the times that are allowed, and that are asked for.
+        """
+        problem = self.problem
+        asked = [problem.allowed, *(problem.ends(g)[:, None] for g in range(len(problem.goals)))]
+        turns = range(1, problem.steps + 1)
+        turn = next(s for s in turns if all(np.array_equal(np.roll(a, s, axis=0), a) for a in asked))
+        first = int(np.searchsorted(self.at, turn))
+        if not 1 <= count <= self.at.size:
+            return None
+        if sum(comb(self.at.size - 1 - i, count - 1) for i in range(first)) > most:
+            return None
+        at = self.at.tolist()
+        return np.array([(at[i], *rest) for i in range(first) for rest in combinations(at[i + 1 :], count - 1)])
 
     @property
     def dearest(self) -> float:

@@ -59,12 +59,30 @@ class CostTree:
 
 @dataclass(frozen=True, eq=False)
 class CostProof:
-    """Every choice that sees the trajectories `keys` at `level` costs at least `value`."""
+    """Every choice that sees the trajectories `keys` at `level` costs at least `value`.
+
+    `judged`: every choice that costs less was judged by itself, with the filter, and is above the level.
+    """
 
     level: float
     value: float
     keys: tuple[Key, ...]
     tree: CostTree
+    judged: bool = False
+
+
+MOST_CHOICES = 20_000  # that are judged one by one
+
+
+def every_choice_judged(covering: CoveringRows, grid_filter: GridFilter, level: float, value: float) -> bool:
+    """Whether no choice of fewer samples than cost `value` keeps a level, each judged by itself.
+
+    More samples leave no more unknown, so that those with the most of them stand for all: their sets are looked at
+    where nothing but the number of samples counts.
+    """
+    most = covering.most_samples(value)
+    choices = covering.choices(most, MOST_CHOICES)
+    return choices is not None and bool(grid_filter.beyond(choices, level).all())
 
 
 def proven_cost(covering: CoveringRows, pool: HiddenTrajectories, proof: CostProof) -> float:
@@ -114,7 +132,7 @@ def gathered(pool: HiddenTrajectories, ratio: CostProof | None, cost: CostProof 
     def moved(proof: CostProof | None) -> CostProof | None:
         if proof is None:
             return None
-        return CostProof(proof.level * EASED, proof.value, tuple((place[a], end) for a, end in proof.keys), proof.tree)
+        return replace(proof, level=proof.level * EASED, keys=tuple((place[a], end) for a, end in proof.keys))
 
     return PlanBound(tuple(pool.trajectories[a] for a in used), moved(ratio), moved(cost))
 
@@ -125,6 +143,9 @@ def broken_below(bound: PlanBound, covering: CoveringRows) -> dict[int, list[int
     That goal is then beyond its tolerance at that step; of a plan that may be turned, turned as the proof has it.
     """
     found: dict[int, set[int]] = {}
+    if bound.cost is not None and bound.cost.judged:
+        goals = enumerate(covering.problem.goals)
+        return {g: np.flatnonzero(covering.problem.ends(g)).tolist() for g, goal in goals if goal.stochastic}
     if bound.cost is not None:
         frame = int(covering.frame[0].shape[0])
         for leaf in bound.cost.tree.leaves():
@@ -204,7 +225,11 @@ def bound_holds(
             continue
         if any(pool.trajectories[a].reach < proof.level for a, _ in proof.keys):
             return False
-        value = proven_cost(frame, pool, proof)
+        if proof.judged:
+            grid_filter = GridFilter(frame.problem, discrete)
+            value = proof.value if every_choice_judged(frame, grid_filter, proof.level, proof.value) else -np.inf
+        else:
+            value = proven_cost(frame, pool, proof)
         if value < proof.value * (1 - 1e-9) or (least is not None and value <= least):
             return False
     return True
@@ -243,5 +268,5 @@ def proof_to_dict(proof: CostProof) -> dict[str, object]:
         "level": proof.level,
         "value": proof.value,
         "rows": [list(key) for key in proof.keys],
-        "tree": proof.tree.to_list(),
+        "tree": [] if proof.judged else proof.tree.to_list(),
     }

@@ -206,6 +206,8 @@ def _proof(data: Tree | None, trajectories: int, place: str) -> CostProof | None
         return None
     if len(data["tree"]) > MOST_TREE or any(row[0] >= trajectories for row in data["rows"]):
         raise refuse(place, "has a tree beyond all measure, or rows of none of the `trajectories`")
+    if not data["tree"] and not data["rows"]:
+        return CostProof(data["level"], data["value"], (), CostTree(), judged=True)
     nodes = iter(data["tree"])
     tree = _tree(nodes, place)
     if next(nodes, None) is not None:

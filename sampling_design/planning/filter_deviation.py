@@ -17,7 +17,7 @@ from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem, RowGoal
 from sampling_design.planning.search_progress import FILTER
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 
 WIDE = 1e4  # covariance at the start of a filter that knows nothing, where a well measured state has size one
@@ -26,6 +26,7 @@ PERIODS = 400  # periods that are followed, at most
 TANGENT_PERIODS = 40  # the same for a tangent, whose steps are kept
 BEYOND = 1e120  # a covariance that is larger is as good as infinite
 ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more periods are followed
+BEYOND_LEVEL = 1e-6  # share by which a variance is above a level at least where that counts as proven: rounding
 MOST_REACH = 1e9  # what is known no better than this many tolerances is not known
 
 
@@ -67,6 +68,43 @@ class GridFilter:
             last = now
         before[:, lost], after[:, lost] = BEYOND, BEYOND
         return np.moveaxis(before, 0, 2), np.moveaxis(after, 0, 2)
+
+    def beyond(self, at: Index, level: float) -> Mask:
+        """Which of the choices of samples at the steps `at` (B, k), each of all sensors, leave a goal above a level.
+
+        Proven: from nothing unknown on, any period that does refutes. Goals just after samples are not looked at.
+        """
+        M, n, k = len(self.problem.allowed), self.discrete.n, at.shape[1]
+        flow, noise = [np.eye(n)], [np.zeros((n, n))]
+        for _ in range(M):
+            flow.append(self.F @ flow[-1])
+            noise.append(propagate(noise[-1], self.F, self.Q))
+        F, Q, gaps = np.array(flow), np.array(noise), np.diff(at, append=at[:, :1] + M)
+        goals = [g for g, goal in enumerate(self.problem.goals) if goal.stochastic and not own(goal)]
+        rows = [self.rows[g] / self.problem.goals[g].tolerance for g in goals]
+        wanted = [self._wanted(self.problem.goals[g], np.zeros((1, M, 1), dtype=bool))[0] for g in goals]
+        found, left, P, last = np.zeros(len(at), dtype=bool), np.arange(len(at)), np.zeros((len(at), n, n)), np.zeros(1)
+        for _ in range(PERIODS):
+            self.work.add((M * FILTER[0], FILTER[1]), len(left) * k * n)
+            worst, ahead = np.zeros(len(left)), np.arange(1, M + 1)
+            for j in range(k):
+                for h, read in zip(self.discrete.S, self.problem.allowed[at[left, j]].T, strict=True):
+                    Ph = P @ h
+                    P = P - (read / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
+                gap, then = gaps[left, j], (at[left, j, None] + ahead) % M
+                for row, when in zip(rows, wanted, strict=True):
+                    later = row @ F[1:]
+                    values = np.sum((P @ later.T) * later.T, axis=1) + np.sum((row @ Q[1:]) * row, axis=1)
+                    values = np.where(when[then] & (ahead <= gap[:, None]), values, 0.0)
+                    worst = np.maximum(worst, values.max(axis=1))
+                P = symmetrise(F[gap] @ P @ np.swapaxes(F[gap], 1, 2) + Q[gap])
+            found[left] = worst > level**2 * (1 + BEYOND_LEVEL)
+            if self.work.over or (worst.shape == last.shape and np.all(worst <= last * (1 + SETTLED))):
+                break
+            left, P, last = left[~found[left]], P[~found[left]], worst[~found[left]]
+            if not left.size or np.abs(P).max() > BEYOND:
+                break
+        return found
 
     def worst(self, chosen: Mask) -> Array:
         """Ratios (B, goals) of standard deviation to tolerance, 0 for goals of the other kind."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.covering import CoveringRows, Key
+from sampling_design.planning.covering import TIE, CoveringRows, Key
 from sampling_design.planning.evidence import CostProof, CostTree, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.search_progress import MEETING
@@ -27,7 +27,6 @@ Array32 = npt.NDArray[np.float32]
 MOST_NODES = 10_000  # nodes of a tree, beyond which it is given up
 DEEPEST = 300  # branches above one another, at most: a tree is walked by calls within calls
 MOST_ENTRIES = 20_000_000  # trajectories, their ends and the steps of a program, beyond which it is not written out
-TIE = 1e-9  # costs are equal within this share
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,24 +51,12 @@ def smallest_hitting_set(
     None where more than the number of samples counts, nothing limits it, or the program is too large to be written
     out: then a solver is asked. `undetected_at`: masks that a choice must meet, too, which no proof counts.
     """
-    most = _most(covering, below)
+    most = covering.most_samples(below)
     reaching = [a for a, trajectory in enumerate(pool.trajectories) if trajectory.reach >= level]
     size = len(reaching) * covering.problem.steps * covering.columns
     if most < 0 or size > MOST_ENTRIES or any(pool.trajectories[a].response is None for a in reaching):
         return None
     return _Search(covering, pool, level, below, most, reaching, work).run(undetected_at)
-
-
-def _most(covering: CoveringRows, below: float) -> int:
-    """Samples of a choice below a cost and within the limits, at most; -1 where more than their number counts."""
-    problem, cost, (A, b) = covering.problem, covering.cost, covering.frame
-    plain = problem.spacing <= 1 and bool(np.all(problem.sensor_spacing[covering.used] <= 1))
-    plain = plain and bool(np.all(problem.longest_use[covering.used] >= problem.steps))
-    if not (plain and covering.whole and cost[0] > 0 and np.all(cost == cost[0])):
-        return -1
-    fewer = [np.ceil(below / float(cost[0]) * (1 - TIE)) - 1] if np.isfinite(below) else []
-    fewer += [np.floor(b[row] / A[row, 0] * (1 + TIE)) for row in covering.limits]
-    return int(min(fewer)) if fewer else -1
 
 
 class _Search:

@@ -280,7 +280,7 @@ class _Planning:
         frame = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.extend(*AFTER[0])
-        prover = CostProver(frame, search.pool, self.oracle.work, search.find)
+        prover = CostProver(frame, search.pool, self.oracle.work, search.find, self.oracle.grid_filter)
         self.least = prover.least_cost(1 / EASED**2, cost)
         self.progress.bounded(self.least.value)
         rival = self._better(best, cost)

@@ -10,6 +10,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
 from sampling_design.planning import sequence_deviation
+from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
@@ -204,6 +205,51 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
     raised = tuple(replace(a, reach=a.reach * 1.01) for a in found.bound.trajectories)
     assert not replace(found, bound=PlanBound(raised, found.bound.ratio, found.bound.cost)).verify()
     assert not replace(found, reached=found.reached * 0.99).verify()
+
+
+def worst_on_the_grid(problem, steps):
+    """The worst of the grid's steps just before their samples, by the plain filter."""
+    at, given = np.array(steps) * problem.step, problem.requirement
+    ends = np.arange(problem.steps) * problem.step
+    before = np.mod(ends - 2e-3, problem.period)
+    seen, noise = problem.allowed[list(steps)], problem.v_deviation
+    row, w, (A, C) = problem.goals[0].row, np.broadcast_to(given.w_intensity, 2), (OSCILLATOR.A, OSCILLATOR.C)
+    return oracle.deviation(A, C, np.eye(2), at, seen, problem.period, row, before, w, noise).max()
+
+
+HOURS = {"Mon-Sun": [["07:00", "19:00"]]}
+
+
+@pytest.mark.parametrize("more", [{}, {"calendar": {"start": "2026-03-23", "zone": "UTC", "hours": HOURS}}])
+def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more):
+    plant = OSCILLATOR if not more else replace(OSCILLATOR, time_unit="h")
+    asked = {**ONE, "sensors": TERMS} if not more else {**ONE, "period": 48.0, "grid": 4.0}
+    problem = pose_plan(plant, sd.PlanRequirement({"position": goal(0.3)}, **asked, **more))
+    covering, grid_filter = CoveringRows(problem, fixed=problem.is_free), GridFilter(problem, discretize(problem))
+    choices = covering.choices(2, 1000)
+    turns = {tuple(sorted((steps + s) % problem.steps)) for steps in choices for s in range(problem.steps)}
+    assert turns >= set(combinations(covering.at.tolist(), 2))
+    assert covering.choices(2, len(choices) - 1) is None
+    assert covering.choices(covering.at.size + 1, 1000) is None
+    for steps in choices[:: max(1, len(choices) // 6)]:
+        worst = worst_on_the_grid(problem, steps.tolist()) / 0.3
+        assert grid_filter.beyond(steps[None], worst * (1 - 3e-3)).all()
+        assert not grid_filter.beyond(steps[None], worst * (1 + 3e-3)).any()
+
+
+def test_what_costs_less_is_judged_choice_by_choice_and_a_forged_cost_is_not_believed(found, tmp_path):
+    proof = found.bound.cost
+    assert (proof.judged, proof.value) == (True, found.cost)
+    assert "At a lower cost, disturbances that no sample shows take position" in found.explain()
+    path = found.save(tmp_path / "plan.json")
+    tree = json.loads(path.read_text())
+    assert tree["no_cheaper_than"]["tree"] == []
+    tree["no_cheaper_than"]["value"] += 1.0
+    path.write_text(json.dumps(tree))
+    assert not read_plan(path).verify()
+    for level in (proof.level, 0.5):  # what is proven of the cost proves no ratio: as many samples reach more
+        ratio = replace(proof, level=level, value=found.cost)
+        assert not replace(found, bound=replace(found.bound, ratio=ratio)).verify()
 
 
 def test_what_is_missing_or_out_of_reach_is_said():

@@ -275,5 +275,6 @@ class SpacedRows:
 
     def counts_as_zero(self, sigma: float, slacks: Array, moves: Array | float = 0.0) -> bool:
         """Whether sigma of this schedule cannot be distinguished from 0."""
-        least = self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None], moves)))
-        return sigma <= max(least, self.rounding(slacks, moves))
+        if sigma <= self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None], moves))):
+            return True
+        return sigma <= self._blurred(slacks, moves) and sigma <= self.rounding(slacks, moves)

@@ -97,7 +97,7 @@ class GridFilter:
                     values = np.sum((P @ later.T) * later.T, axis=1) + np.sum((row @ Q[1:]) * row, axis=1)
                     values = np.where(when[then] & (ahead <= gap[:, None]), values, 0.0)
                     worst = np.maximum(worst, values.max(axis=1))
-                P = symmetrise(F[gap] @ P @ np.swapaxes(F[gap], 1, 2) + Q[gap])
+                P = propagate(P, F[gap], Q[gap])
             found[left] = worst > level**2 * (1 + BEYOND_LEVEL)
             if self.work.over or (worst.shape == last.shape and np.all(worst <= last * (1 + SETTLED))):
                 break

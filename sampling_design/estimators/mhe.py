@@ -364,9 +364,9 @@ class MovingHorizonEstimator(WindowedEstimator):
 
 def _without(window: EstimationWindow, j: int, i: int) -> EstimationWindow:
     """The window without output i of the sample at node j."""
-    masks, residual, y = window.masks.copy(), window.residual.copy(), window.y.copy()
-    masks[j, i] = residual[j, i] = y[j, i] = 0.0
-    return replace(window, masks=masks, residual=residual, y=y)
+    masks, y = window.masks.copy(), window.y.copy()
+    masks[j, i] = y[j, i] = 0.0
+    return replace(window, masks=masks, y=y)
 
 
 def _from_set(chosen: ConvexSet | None) -> Array | float | None:

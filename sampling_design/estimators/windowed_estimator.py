@@ -32,7 +32,7 @@ from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import InitialNode
-from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
+from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -382,17 +382,10 @@ class WindowedEstimator(OnlineEstimator):
         censored = {node.t: node.limits for node in start.inside if node.limits is not None}
         censored |= {} if new.limits is None else {t: new.limits}
         free = np.array([np.full(self.plant.n_outputs, -np.inf), np.full(self.plant.n_outputs, np.inf)])
-        window = build_window(
-            weights=self.weights,
-            times=np.array(times),
-            flows=flows,
-            drift=drift,
-            reference=reference,
-            y=y,
-            masks=masks,
-            feedthrough=feedthrough,
-            prior_root=start.root,
-            limits=np.array([censored.get(at, free) for at in times]) if censored else None,
+        limits = np.array([censored.get(at, free) for at in times]) if censored else None
+        root = self.weights.prior_root if start.root is None else start.root
+        window = EstimationWindow(
+            self.weights, np.array(times), flows, reference, drift, y, masks, feedthrough, root, limits
         )
         if not read:
             return window

@@ -51,8 +51,7 @@ def problem_as_written(window: EstimationWindow, constraints: WindowConstraints)
     terms, parts = [cp.sum_squares(window.prior_half @ (x[0] - prior))], list["Constraint"]()
     for j, flow in enumerate(window.flows):
         omega = cp.Variable(flow.root.shape[1], name=f"omega{j + 1}")
-        drift = window.defect[j] + window.reference[j + 1] - flow.F @ window.reference[j]
-        parts.append(x[j + 1] == flow.F @ x[j] + flow.root @ omega + drift)
+        parts.append(x[j + 1] == flow.F @ x[j] + flow.root @ omega + window.drift[j])
         terms.append(cp.sum_squares(root[j + 1] * omega))
         if constraints.reach is not None:
             parts += _inside(cp, constraints.reach.over([flow])[0], omega)

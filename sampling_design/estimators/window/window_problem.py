@@ -31,17 +31,36 @@ class EstimationWindow:
     # (N+1, n): any trajectory; reference[0] is the prior. Unknown is the deviation from it, so that numbers stay of the
     # size of the errors however far the state itself wanders.
     reference: Array
-    defect: Array  # (N, n): F_j reference_j + b_j - reference_{j+1}
-    residual: Array  # (N+1, p): y - D u - C reference where measured, else 0
-    masks: Array  # (N+1, p): 1.0 where measured
-    prior_root: Array  # (n, n): S with S S' = P^-1
-    discount: Array  # (N+1,): e^{-eta(t - s_j)}
+    drift: Array  # (N, n): the inputs' part of each gap
     y: Array  # y, feedthrough, (N+1, p): measurements (0 where missing) and D u
+    masks: Array  # (N+1, p): 1.0 where measured
     feedthrough: Array
-    F: Array  # (N, n, n): transitions
+    prior_root: Array  # (n, n): S with S S' = P^-1
     # (N+1, 2, p): what C x lies between where limits of detection were read, infinite elsewhere
     limits: Array | None = None
     means: MeanRows | None = None  # composite samples
+
+    @cached_property
+    def F(self) -> Array:
+        """Transitions, (N, n, n)."""
+        n = self.reference.shape[1]
+        return np.array([flow.F for flow in self.flows]).reshape(-1, n, n)
+
+    @cached_property
+    def defect(self) -> Array:
+        """F_j reference_j + b_j - reference_{j+1}, (N, n)."""
+        led = np.matmul(self.F, self.reference[:-1, :, None])[:, :, 0]
+        return np.asarray(led + self.drift - self.reference[1:])
+
+    @cached_property
+    def residual(self) -> Array:
+        """y - D u - C reference where measured, else 0, (N+1, p)."""
+        return np.asarray((self.y - self.feedthrough - self.reference @ self.weights.plant.C.T) * self.masks)
+
+    @cached_property
+    def discount(self) -> Array:
+        """e^{-eta(t - s_j)}, (N+1,)."""
+        return np.asarray(np.exp(self.weights.eta * (self.times - self.times[-1])))
 
     @cached_property
     def joint(self) -> Array | None:
@@ -99,40 +118,3 @@ def information_root(root: Array) -> Array | None:
     if not values[0] * CONDITION_LIMIT > values[-1]:
         return None
     return np.asarray(np.linalg.solve(root, np.eye(len(root))))
-
-
-def build_window(
-    weights: CostWeights,
-    times: Array,
-    flows: list[GapFlow],
-    drift: Array,
-    reference: Array,
-    y: Array,
-    masks: Array,
-    feedthrough: Array,
-    prior_root: Array | None = None,
-    limits: Array | None = None,
-) -> EstimationWindow:
-    """Return the window problem; `reference[0]` is the prior, `drift` (N, n) the inputs' part of each gap."""
-    C = weights.plant.C
-    n = C.shape[1]
-    F = np.array([flow.F for flow in flows]).reshape(-1, n, n)
-    if flows:
-        defect = np.matmul(F, reference[:-1, :, None])[:, :, 0] + drift - reference[1:]
-    else:
-        defect = np.zeros((0, n))
-    return EstimationWindow(
-        weights=weights,
-        times=times,
-        flows=flows,
-        reference=reference,
-        defect=defect,
-        residual=(y - feedthrough - reference @ C.T) * masks,
-        masks=masks,
-        prior_root=weights.prior_root if prior_root is None else prior_root,
-        discount=np.exp(weights.eta * (times - times[-1])),
-        y=y,
-        feedthrough=feedthrough,
-        F=F,
-        limits=limits,
-    )

@@ -118,7 +118,7 @@ class KalmanFilter(WindowedEstimator):
         y, mask, feedthrough, flow, drift = new.y, new.mask, new.feedthrough, new.flow, new.drift
         with np.errstate(over="ignore", invalid="ignore"):
             x, Y, before = self.loop.propagated(last, flow, drift)
-        self.loop.refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
+        self.loop.refuse_overflow(flow, sample.t, x, Y)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
         begun = state.nodes[0].t

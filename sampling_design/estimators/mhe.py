@@ -263,7 +263,8 @@ class MovingHorizonEstimator(WindowedEstimator):
     def _solved(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample:
         """Return what the window says, put together and solved as a whole."""
         last, sample, flow, drift, engine, cost = state.last, new.sample, new.flow, new.drift, "", np.nan
-        self.loop.refuse_overflow(flow, self.loop.moved(last, flow, drift), sample.t)
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.loop.refuse_overflow(flow, sample.t, flow.F @ last.x + drift)
         window = self._window(state, start, new)
         terms = scaled_bound(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
         if too_large(window.weighted(window.residual)):
@@ -285,7 +286,7 @@ class MovingHorizonEstimator(WindowedEstimator):
                     found = found._replace(contradiction=self._contradiction(window, terms, solution.dual, numbers))
         if np.isnan(cost):
             x, Y, beta = self.loop.ahead(last, flow, drift)
-            self.loop.refuse_overflow(flow, Y, sample.t)
+            self.loop.refuse_overflow(flow, sample.t, Y)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
         return SolvedSample(x, Y, found, engine, note, cost)
 

@@ -271,11 +271,10 @@ class WindowedEstimator(OnlineEstimator):
         x, Y, beta = self.loop.propagated(node, flow, drift)
         if math.isfinite(x.dot(x)) and math.isfinite(np.vdot(Y, Y)):
             return x, Y, beta
-        self.loop.refuse_overflow(flow, x, s)
+        self.loop.refuse_overflow(flow, s, x)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
             x, Y, beta = self.loop.ahead(node, flow, drift)
-        if not np.isfinite(Y).all():
-            self.loop.refuse_overflow(flow, np.array([np.inf]), s)
+        self.loop.refuse_overflow(flow, s, Y)
         return x, Y, beta
 
     def _slid_window(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample | None:

@@ -15,7 +15,6 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall, all_inside, normed
 from sampling_design.estimators.gap_flows.composed_flow import state_units
-from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array
@@ -82,7 +81,7 @@ class DisturbanceReach:
         if not self.table.constant_w and np.isfinite(lower).all() and np.isfinite(upper).all():
             half, middle = (upper - lower) / 2, (lower + upper) / 2
             length = discounted_length(self.weights.eta, [flow.gap for flow in flows])
-            least = np.minimum(np.abs(through) @ half, np.sqrt(_energy(self.weights, half) * length)[:, None])
+            least = np.minimum(np.abs(through) @ half, np.sqrt(self.weights.disturbance_energy(half) * length)[:, None])
             inside = np.abs(omega - through @ middle) <= least
             if inside.all() and (np.vecdot(omega, omega) <= self._radius**2 * length).all():
                 return True
@@ -149,7 +148,7 @@ class DisturbanceReach:
         for length in set(lengths):
             at = [k for k, own in enumerate(lengths) if own == length]
             reach[at] = self._absolute_integrals(length, gaps[at], whiten[at] * self.units) @ half
-        most = _energy(self.weights, half) * discounted_length(self.weights.eta, gaps)
+        most = self.weights.disturbance_energy(half) * discounted_length(self.weights.eta, gaps)
         reach = np.minimum(reach, np.sqrt(most)[:, None])
         driven = np.array([flow.integral for flow in flows]) @ (self.plant.G @ middle)
         centre = np.matmul(whiten, driven[:, :, None])[:, :, 0]
@@ -201,8 +200,3 @@ class DisturbanceReach:
         moments = (beyond * np.abs(beyond) + d * d / 4) / 2, (d * d / 4 - beyond**2) / 2  # of |s - m|, and of m - s
         parts = upto * size + np.where(turning, *moments) * rise + (beyond**3 + d**3 / 8) / 6 * second
         return np.asarray(parts.sum(axis=2))
-
-
-def _energy(weights: CostWeights, half: Array) -> float:
-    """The largest |w|^2_Qw over a box with these half-widths around 0."""
-    return float(half @ np.abs(weights.w) @ half)

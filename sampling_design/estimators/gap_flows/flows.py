@@ -230,8 +230,15 @@ class FlowTable:
             table[gap] = GapFlow(gap, growth, transition, noise, passed, forced, root)
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
-        """Roots and their pseudo-inverses; NaN where they overflowed."""
-        root = self._constant_root(integral, gaps)
+        """Roots of the noise that is constant over each gap and their pseudo-inverses; NaN where they overflowed.
+
+        Its cost is |w|^2_Qw int_0^h e^{-eta s} ds = |omega|^2.
+        """
+        plant, weights = self.weights.plant, self.weights
+        length = discounted_length(weights.eta, np.asarray(gaps))
+        half = np.linalg.solve(np.linalg.cholesky(weights.w), np.eye(plant.n_disturbances)).T
+        scale = np.sqrt(np.where(length > 0, length, 1.0))
+        root = integral @ (plant.G @ half) / scale[:, None, None]
         size = np.linalg.norm(root, axis=2)
         known = np.isfinite(size).all(axis=1)
         unit = np.where(size > 0, size, 1.0)
@@ -239,14 +246,6 @@ class FlowTable:
         whiten[known] = np.linalg.pinv((root / unit[:, :, None])[known]) / unit[known, None, :]
         root[~known] = np.nan
         return list(zip(root, whiten, strict=True))
-
-    def _constant_root(self, integral: Array, gaps: list[float]) -> Array:
-        """Root of the noise that is constant over each gap: cost |w|^2_Qw int_0^h e^{-eta s} ds = |omega|^2."""
-        plant, weights = self.weights.plant, self.weights
-        length = discounted_length(weights.eta, np.asarray(gaps))
-        half = np.linalg.solve(np.linalg.cholesky(weights.w), np.eye(plant.n_disturbances)).T
-        scale = np.sqrt(np.where(length > 0, length, 1.0))
-        return np.asarray(integral @ (plant.G @ half) / scale[:, None, None])
 
 
 def discounted_length(eta: float, h: npt.ArrayLike) -> Array:

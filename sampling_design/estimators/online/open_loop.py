@@ -130,17 +130,12 @@ class OpenLoop:
         )  # any p > 0 proves it
         return (own * (1 + p) + driven * (1 + 1 / p)) * (1 + ROUNDING)
 
-    def moved(self, node: HistoryNode, flow: GapFlow, drift: Array) -> Array:
-        """Return the state after a gap, also where it overflows."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(flow.F @ node.x + drift)
-
-    def refuse_overflow(self, flow: GapFlow, x: Array, t: float) -> None:
+    def refuse_overflow(self, flow: GapFlow, t: float, *reached: Array) -> None:
         """Refuse what grows beyond double precision over a gap up to t.
 
-        Raises ArgumentError if the flow or x is not finite.
+        Raises ArgumentError if the flow or what it leads to is not finite.
         """
-        if not (np.isfinite(flow.F).all() and np.isfinite(x).all()):
+        if not all(np.isfinite(each).all() for each in (flow.F, *reached)):
             raise ArgumentError(
                 f"`t` = {t!r} lies {flow.gap:.6g} {self.weights.plant.time_unit} after the last sample: what is not "
                 "measured for so long grows beyond double precision. Start again near it: start(prior, prior_time)."

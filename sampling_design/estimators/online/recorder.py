@@ -125,9 +125,7 @@ class Recorder:
         (flow,) = loop.table.get([t - node.t])
         drift = state.drift(loop.table, node.t, t)
         x, Y, beta = loop.ahead(node, flow, drift)
-        loop.refuse_overflow(flow, x, t)
-        if not np.isfinite(Y).all():
-            loop.refuse_overflow(flow, np.array([np.inf]), t)
+        loop.refuse_overflow(flow, t, x, Y)
         size, condition = in_units_of(Y, passed(node, flow, drift, x))
         beta = beta * (1 + PROPAGATED * condition + loop.weights.loose) + moved(beta, size)
         scheduled = node.scheduled and self.claim.nothing_missed(state.nodes[: at + 1], t)

@@ -76,10 +76,13 @@ class EstimationWindow:
 
     @property
     def _prior_fits(self) -> bool:
-        """Whether the prior's information is given, or found from its covariance without losing many digits."""
-        if self.prior_root is self.weights.prior_root:
+        """Whether the prior's information is given, or found from its covariance losing less than six digits."""
+        root = self.prior_root
+        if root is self.weights.prior_root:
             return True
-        return information_root(self.prior_root) is not None
+        unit = root / np.linalg.norm(root, axis=1)[:, None]
+        values = np.linalg.eigvalsh(unit @ unit.T)
+        return bool(values[0] * CONDITION_LIMIT > values[-1])
 
     @cached_property
     def prior_half(self) -> Array:
@@ -109,12 +112,3 @@ class EstimationWindow:
     def samples(self) -> Index:
         """Indices of the nodes at which something is measured."""
         return np.flatnonzero(self.masks.any(axis=1))
-
-
-def information_root(root: Array) -> Array | None:
-    """Return U with U'U = (root root')^-1; None where that would lose six digits or more."""
-    unit = root / np.linalg.norm(root, axis=1)[:, None]
-    values = np.linalg.eigvalsh(unit @ unit.T)
-    if not values[0] * CONDITION_LIMIT > values[-1]:
-        return None
-    return np.asarray(np.linalg.solve(root, np.eye(len(root))))

@@ -169,7 +169,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         covered = None if certificate is None else certificate.covers
         claim = ScheduleClaim(note, covered, plant.time_unit, timing_tolerance, schedule_zero)
         self.constraints = sets = WindowConstraints(table, given)
-        self.engine = _engine(given.engine, sets)
+        self.engine = given.engine
+        if self.engine == "active set" and sets.has_balls:
+            raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')
         self.check_spacing = given.check_spacing
         self.keep_for_late(maximum_delay)
         w, v = _from_set(sets.w) if w_bound is None else w_bound, _from_set(sets.v) if v_bound is None else v_bound
@@ -374,9 +376,3 @@ def _from_set(chosen: ConvexSet | None) -> Array | float | None:
     """The bound that a constraint set implies, in the form that the bounds have."""
     magnitude = None if chosen is None else chosen.magnitude()
     return float(magnitude) if magnitude is not None and magnitude.ndim == 0 else magnitude
-
-
-def _engine(engine: str, constraints: WindowConstraints) -> str:
-    if engine == "active set" and constraints.has_balls:
-        raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')
-    return engine

@@ -325,7 +325,8 @@ def build_weights(
     puts an estimate near the middle of what data and bounds leave possible. Raises ArgumentError if a weight has
     another size or is not positive definite, or the certificate is another plant's.
     """
-    _refuse_what_is_not_its_own(plant, certificate)
+    if certificate is not None and (other := first_difference(plant, certificate.plant)):
+        raise ArgumentError(f"`certificate` belongs to another plant: {other}.")
     inverse = {
         "P2": plant.states.scales**-2.0,
         "Qw": plant.disturbances.scales**-2.0,
@@ -362,13 +363,6 @@ def _weighed(plant: Plant, bounds: WeighedBounds, rate: float) -> dict[str, Arra
     found = weights_from_bounds(plant, rate, *wanted)
     belong = {"P2": "initial_error", "Qw": "w_bound", "R": "v_bound", "Qv": "v_bound"}
     return {key: found[key] for key, name in belong.items() if name in usable}
-
-
-def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | None) -> None:
-    if certificate is None:
-        return
-    if other := first_difference(plant, certificate.plant):
-        raise ArgumentError(f"`certificate` belongs to another plant: {other}.")
 
 
 def stretches(masks: Array) -> tuple[list[int], list[int]]:

@@ -59,7 +59,9 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     nodes = filtered
     for j in range(count - 2, -1, -1):
         nodes[j] += gains[j] @ (nodes[j + 1] - predicted[j + 1])
-    margin = DUAL_MARGIN * (cost + _cost_of_reference(window))
+    # what the outputs cost along the reference: the size of the numbers that the optimum is a difference of
+    fit = window.weighted(window.residual)
+    margin = DUAL_MARGIN * (cost + float(np.einsum("k,ki,ki->", window.discount, fit, fit)))
     found = EstimateDeviations(roots, gains)
     return WindowEstimate(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
 
@@ -71,12 +73,6 @@ def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: f
     innovation = weigh @ (window.residual[j] - weights.plant.C @ mean)
     root, step, half = root_update(root, weigh @ weights.plant.C, innovation)
     return root, mean + step, float(half @ half)
-
-
-def _cost_of_reference(window: EstimationWindow) -> float:
-    """What the outputs cost along the reference: the size of the numbers that the optimum is a difference of."""
-    fit = window.weighted(window.residual)
-    return float(np.einsum("k,ki,ki->", window.discount, fit, fit))
 
 
 PIVOT_LIMIT = 1e-5

@@ -384,8 +384,9 @@ class WindowedEstimator(OnlineEstimator):
         limits = np.array([censored.get(at, free) for at in times]) if censored else None
         root = self.weights.prior_root if start.root is None else start.root
         window = EstimationWindow(
-            self.weights, np.array(times), flows, reference, drift, y, masks, feedthrough, root, limits
-        )
+            weights=self.weights, times=np.array(times), flows=flows, reference=reference, drift=drift, y=y,
+            masks=masks, feedthrough=feedthrough, prior_root=root, limits=limits,
+        )  # fmt: skip
         if not read:
             return window
         at = {t: j for j, t in enumerate(times)}

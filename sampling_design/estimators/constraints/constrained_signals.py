@@ -140,7 +140,7 @@ class ConstraintRows:
 
 
 def rows_of(signal: ConstrainedSignal) -> Iterator[ConstraintRows]:
-    """Yield the bounds on entries, then what else is linear."""
+    """Yield the bounds on entries, then what else is linear: half-spaces, and balls that are points."""
     K, k = signal.base.shape
     lower, upper = np.empty((K, k)), np.empty((K, k))
     lower[:] = [chosen.lower for chosen in signal.sets]
@@ -152,8 +152,10 @@ def rows_of(signal: ConstrainedSignal) -> Iterator[ConstraintRows]:
     if places.size:
         yield ConstraintRows(signal, places, entries, lower[kept], upper[kept])
     for chosen, at in () if signal.boxed else signal.groups():
-        matrix, low, up = chosen.inequalities
-        count = matrix.shape[0]
+        points = [ball for ball in chosen.balls if ball.radius == 0]
+        matrix = np.concatenate([chosen.rows, *(ball.shape for ball in points)])
+        count, there = len(matrix), [ball.shape @ ball.centre for ball in points]
+        low, up = np.concatenate([np.full(len(chosen.rows), -np.inf), *there]), np.concatenate([chosen.offsets, *there])
         if count and at.size:
             places, entries = np.repeat(at, count), np.tile(k + np.arange(count), at.size)
             repeated = (np.tile(low, at.size), np.tile(up, at.size), np.tile(matrix, (at.size, 1)))

@@ -168,15 +168,6 @@ class ConvexSet(Record):
         """Indices of the entries that have a bound of their own."""
         return np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
 
-    @cached_property
-    def inequalities(self) -> tuple[Array, Array, Array]:
-        """What is linear beside the box, lower <= matrix z <= upper: half-spaces, and balls that are points."""
-        points = [ball for ball in self.balls if ball.radius == 0]
-        places = [ball.shape @ ball.centre for ball in points]
-        matrix = np.concatenate([self.rows, *(ball.shape for ball in points)])
-        lower = np.concatenate([np.full(self.offsets.size, -np.inf), *places])
-        return matrix, lower, np.concatenate([self.offsets, *places])
-
     @property
     def round_balls(self) -> tuple[NormBall, ...]:
         """The balls that are more than a point."""

@@ -105,8 +105,8 @@ class RecordProgram:
         self.readings = readings
         lengths = np.diff(readings.times)
         if table is None:
-            seen = ~readings.below | (readings.size > 0)
-            H = np.where(seen[:, None], readings.H / _units(readings, lengths)[:, None], 0.0)
+            counts = ~readings.below | (readings.size > 0)
+            H = np.where(counts[:, None], readings.H / _units(readings, lengths)[:, None], 0.0)
             rows = np.split(H, readings.offsets[1:-1])[:-1]
             table = GapTable.suited(readings.A, readings.G, lengths, rows)
         self.table = table

@@ -93,8 +93,9 @@ class FunctionalPlant(Plant):
 
         What is a part of a part is one of the whole.
         """
-        if isinstance(whole, FunctionalPlant):
-            onto, whole = checks.floats("onto", onto) @ whole.map, whole.whole
+        match whole:
+            case FunctionalPlant():
+                onto, whole = checks.floats("onto", onto) @ whole.map, whole.whole
         own = {each.name: getattr(part, each.name) for each in fields(Plant)}
         own |= {"whole": whole, "map": onto, "rows": rows}
         return cls(**own)

@@ -16,7 +16,7 @@ import sampling_design as sd
 from sampling_design.accuracy.interval import Interval, state_interval
 from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
 from sampling_design.checkers import check, claims, recovered
-from sampling_design.checkers.long_numbers import BITS, doubles, long_flow
+from sampling_design.checkers.long_numbers import BITS, doubles, long, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import from_json
@@ -408,8 +408,8 @@ def test_a_file_of_many_rows_over_a_long_gap_needs_little_memory_and_time(monkey
     made["start"]["time"] = 0.0
     made |= {"gains": 2 * [2 * [2 * count * [0.0]]], "lower": [None, None], "upper": [1e9, None]}
     held, products = [], []
-    integrate, long = recovered.BackwardRecursion.integrate, recovered.long
-    monkeypatch.setattr(recovered, "long", lambda x: products.append(np.size(x)) or long(x))
+    integrate, integers = recovered.BackwardRecursion.integrate, long
+    monkeypatch.setattr(recovered, "long", lambda x: products.append(np.size(x)) or integers(x))
     monkeypatch.setattr(
         recovered.BackwardRecursion,
         "integrate",

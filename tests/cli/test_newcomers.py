@@ -154,7 +154,10 @@ LINES = {
     "half a zone": ("design p.toml r.toml -o o --start 2026-03-02 --zone Berlin", "a time zone like Europe/Berlin"),
     "a file mistyped": ("design p.toml rr.toml", "rr.toml: no such file. Did you mean r.toml?"),
     "a file without its ending": ("info p", "p: no such file. Did you mean p.toml?"),
-    "a plant of the library": ("info satellite", "satellite: no such file."),
+    "a plant of the library mistyped": (
+        "info satelite",
+        "A plant of the library needs no file. Did you mean 'satellite'?",
+    ),
     "a design for its schedule": ("certify p.toml design.json", "The schedule of a design is in schedule.csv"),
     "a requirement for a plan's": ("plan p.toml r.toml", "`sampling-design new --within` writes one"),
     "a plan without its format": ("plan p.toml plan.toml", 'line format = "sampling-design/plan-requirement/1"'),

@@ -358,6 +358,10 @@ def owner(name: str) -> Any:
     return t[key] if key else fresh[name]()
 
 
+kept = functools.cache(owner)
+"""The same instance each time, for what asks it nothing."""
+
+
 @functools.cache
 def _thyroid_report() -> Any:
     return sd.nonlinear.thyroid_experiment(1, cases=["per_second"], days=0.25, workers=1)
@@ -378,14 +382,14 @@ class Door:
     name: str
     arguments: dict[str, Any]
 
-    def target(self) -> Callable[..., Any]:
+    def target(self, made: Callable[[str], Any] = owner) -> Callable[..., Any]:
         """The callable itself, a method of a valid instance."""
         head, _, method = self.name.partition(".")
         thing = public()[head]
         if not method:
             return thing
         inner = inspect.getattr_static(thing, method)
-        return getattr(thing if isinstance(inner, (classmethod, staticmethod)) else owner(head), method)
+        return getattr(thing if isinstance(inner, (classmethod, staticmethod)) else made(head), method)
 
 
 @functools.cache

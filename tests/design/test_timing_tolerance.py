@@ -29,13 +29,14 @@ def worst_of_real_times(times, window):
     """The least sigma of the windows just after a sample, or just before the one that comes a period later, over real
     times on plan and at both ends of their tolerance."""
     found = np.inf
-    for j, moves in product(range(len(times)), product((-LATE, 0.0, LATE), repeat=len(times) + 1)):
-        planned = np.concatenate([times[j:], times[: j + 1] + TURN])
-        real = planned + moves
-        rows = np.array([[np.cos(t), np.sin(t)] for t in real])
-        for start in (real[0] + 1e-9, real[-1] - window - 1e-9):
+    moves = np.array(list(product((-LATE, 0.0, LATE), repeat=len(times) + 1)))
+    for j in range(len(times)):
+        real = np.concatenate([times[j:], times[: j + 1] + TURN]) + moves
+        rows = np.stack([np.cos(real), np.sin(real)], axis=-1)
+        for start in (real[:, :1] + 1e-9, real[:, -1:] - window - 1e-9):
             inside = (real >= start) & (real <= start + window)
-            found = min(found, np.linalg.svd(rows[inside], compute_uv=False)[1])  # turned states are seen alike
+            seen = np.linalg.svd(rows * inside[:, :, None], compute_uv=False)  # turned states are seen alike
+            found = min(found, seen[:, 1].min())
     return found
 
 

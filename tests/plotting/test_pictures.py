@@ -143,8 +143,9 @@ def test_a_notebook_shows_the_axes_that_plot_returns():
     several = horizons().plot()
     assert isinstance(several, list)
     for shown in (one, several):
-        width, height = struct.unpack(">II", shown._repr_png_()[16:24])
-        assert shown._repr_png_().startswith(b"\x89PNG")
+        picture = shown._repr_png_()
+        width, height = struct.unpack(">II", picture[16:24])
+        assert picture.startswith(b"\x89PNG")
         assert width > height > 200
     assert type(one).__name__ == "Axes"
     assert plt.get_fignums() == []  # nothing of it is known to pyplot, so a script shows nothing

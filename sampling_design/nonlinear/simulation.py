@@ -15,9 +15,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
 TOLERANCE = 1e-10  # relative and absolute tolerance of the integrator, in scaled states
-COVARIANCE_TOLERANCE = (
-    1e-6  # relative tolerance of covariances: a millionth of a variance changes no digit that is printed
-)
+COVARIANCE_TOLERANCE = 1e-6  # of covariances, relative: a millionth of a variance changes no digit that is printed
 MAX_STEPS = 20000  # steps that the integrator may take over one stretch
 
 

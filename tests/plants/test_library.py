@@ -3,6 +3,7 @@
 import tomllib
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
@@ -157,7 +158,6 @@ def test_a_name_of_the_library_in_place_of_a_file_leads_to_its_plant():
 
 @pytest.mark.parametrize("word", ["dt", "Ts", "sample_time"])
 def test_a_plant_in_discrete_time_is_told_how_to_come(word):
-    control = pytest.importorskip("control")
     with pytest.raises(CallError, match=r"one in discrete time is given as Plant\(control.ss\(A, B, C, D, dt\)\)"):
         Plant([[-1.0]], [[1.0]], **{word: 0.1})
     taken = Plant(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), time_unit="s")

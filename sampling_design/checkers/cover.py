@@ -65,7 +65,8 @@ def gap_range(family: GapRange, graph: Graph) -> None:
 
 def spaced_windows(family: SpacedWindows, graph: Graph) -> None:
     """Any k gaps in a row sum to at most T: of those that hold the next one, i are known, k - 1 - i are to come."""
-    T, k, spacing = Fraction(family.window), family.count, Fraction(family.spacing)
+    k, spacing = family.count, Fraction(family.spacing)
+    T = max(Fraction(family.window), k * spacing)  # where rounding alone leaves no room, equal gaps are in the family
 
     def most(word: Word) -> Fraction:
         return min(T - sum(word[:i]) - (k - 1 - i) * spacing for i in range(min(len(word), k - 1) + 1))

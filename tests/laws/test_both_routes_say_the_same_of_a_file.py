@@ -141,3 +141,15 @@ def test_what_a_flow_costs_is_counted_however_fast_the_plant(monkeypatch):
     forged = fast(json.loads(text("lost")))
     assert verdict({**forged, "digest": digest(forged)}, WorkLimit(WORK / 10)).verdict == "undecided"
     assert 0 < sum(done) < WORK / 40
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_nothing_is_proven_of_windows_that_rounding_leaves_empty(count):
+    """Samples a billionth too far apart fit no window: a graph without them was said to hold every schedule."""
+    apart = 0.3 / count
+    honest = sd.certify(OSCILLATOR, sd.SpacedWindows(0.3, count, apart), eta=0.1, memory=0, P2=np.eye(2)).to_dict()
+    graph = {"words": [[], [0.0]], "edges": [[0, 1, 0.0, 0.3, [1]]], "P": honest["graph"]["P"][:1]}
+    forged = honest | {"graph": graph, "times": honest["times"] | {"spacing": apart * (1 + 5e-10)}}
+    for data, expected in ((honest, "proven"), (forged, "refuted")):
+        data["digest"] = digest(data)
+        assert verdict(data).verdict == verify_rigorously(data).verdict == expected

@@ -214,6 +214,8 @@ def bound_holds(
 
     `covering` has no limits of its own; `limited` has those of the requirement; `most` is what plans may cost.
     """
+    if bound.cost is not None and bound.cost.level < 1:  # what leaves more than that unknown may keep the tolerances
+        return False
     pool = HiddenTrajectories(covering.problem.steps, ends)
     for trajectory in bound.trajectories:
         propagated = resimulated(covering.problem, discrete, trajectory)

@@ -247,6 +247,9 @@ def test_what_costs_less_is_judged_choice_by_choice_and_a_forged_cost_is_not_bel
     tree["no_cheaper_than"]["value"] += 1.0
     path.write_text(json.dumps(tree))
     assert not read_plan(path).verify()
+    tree["no_cheaper_than"]["level"] = 0.5  # those of that cost that keep the tolerances are above half of them
+    path.write_text(json.dumps(tree))
+    assert not read_plan(path).verify()
     for level in (proof.level, 0.5):  # what is proven of the cost proves no ratio: as many samples reach more
         ratio = replace(proof, level=level, value=found.cost)
         assert not replace(found, bound=replace(found.bound, ratio=ratio)).verify()

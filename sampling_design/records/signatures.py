@@ -411,8 +411,6 @@ def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
         return [(_HELD[kind], lambda _, v: _as_typed(v, listed))]
     if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
         raise _UncheckedAnnotation  # an array, or what becomes one
-    if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
-        raise _UncheckedAnnotation
     return [_instance(kind)]
 
 

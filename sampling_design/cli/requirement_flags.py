@@ -131,6 +131,7 @@ def _clock(text: str) -> int:
 def requirement(asked: RequirementFlags, unit: str, span: float) -> sd.Requirement:
     """Return what a schedule must keep: a window and, unless told, a period of one oscillation, in whole days."""
     hours = week(asked.open_hours, asked.weekend)
+    place = OpeningCalendar(asked.start or A_MONDAY, asked.zone or "UTC", hours)  # a slip is named, hours or none
     period = span if asked.period is None else asked.period
     if hours is not None:
         period = whole_days(period, unit, hours, given=asked.period is not None)
@@ -141,7 +142,7 @@ def requirement(asked: RequirementFlags, unit: str, span: float) -> sd.Requireme
             raise ArgumentError(
                 f"`--open` closes every day: a period of {days:.4g} days is too long, at most {MOST_DAYS}."
             )
-        shut = OpeningCalendar(asked.start or A_MONDAY, asked.zone or "UTC", hours).closed(period / minute)
+        shut = place.closed(period / minute)
     return sd.Requirement(
         window=period,
         period=period,

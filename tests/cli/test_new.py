@@ -259,6 +259,8 @@ def test_nothing_is_written_over_unless_forced(shell, tmp_path):
         (("--oscillation", "24", "--within", "0.5"), "which needs --noise"),
         (("--oscillation", "24", "--within", "0.5", "--noise", "0.1", "--disturbance", "0", "--start", "no"), "start"),
         (("--oscillation", "24", "--sensors", "a,a"), "twice"),
+        (("--decay", "5", "--zone", "Berlin"), "a time zone like Europe/Berlin"),
+        (("--decay", "5", "--start", "soon"), "start"),
     ],
 )
 def test_a_slip_is_one_sentence_and_writes_nothing(shell, tmp_path, flags, said):

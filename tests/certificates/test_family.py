@@ -9,6 +9,7 @@ from scipy import sparse
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
+from sampling_design.certificates.exact.certificate import latest_samples
 from sampling_design.certificates.families import certify_family as family
 from sampling_design.certificates.families import program
 from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms, unrolled
@@ -194,6 +195,14 @@ def test_records_say_what_they_prove():
     assert np.all(counted > silent)
     # no schedule of the family has more samples in [0, 3] than seven
     assert found._samples_until(3.0).size == 7
+
+
+@pytest.mark.parametrize("count", [3, 6, 7])
+def test_a_sample_at_the_end_is_counted_whatever_rounding_says(count):
+    """0.3/0.1 is less than 3 in doubles, and 0, 0.1, 0.2, 0.3 are four samples."""
+    end = round(0.1 * count, 1)
+    assert latest_samples(end, 0.1).size == count + 1
+    assert latest_samples(0.99 * end, 0.1).size == count
 
 
 def test_what_does_not_fit_is_refused_at_the_door():

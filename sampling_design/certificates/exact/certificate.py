@@ -167,8 +167,7 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def _samples_until(self, end: float) -> Array:
         """Sample times in [0, end]: of the schedule, or the most that any schedule of the family has."""
-        # the i-th last sample of any schedule lies at least i least gaps before `end`
-        return np.asarray(end - self.min_gap * np.arange(int(max(end, 0.0) / self.min_gap) + 1))
+        return latest_samples(end, self.min_gap)
 
     @property
     def lam_proven(self) -> float:
@@ -342,6 +341,14 @@ class SampledCertificate(VerifiableRecord, ABC):
         squared = found.C_x * start * decay + found.C_w * w2 * (1 - decay) / rate
         with np.errstate(over="ignore"):
             return np.asarray(unit * np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
+
+
+def latest_samples(end: float, gap: float) -> Array:
+    """The latest times in [0, end] of samples at least `gap` apart: the i-th last lies i gaps before `end`.
+
+    Rounding of end/gap leaves none out: a time just before 0 counts.
+    """
+    return np.asarray(end - gap * np.arange(int(max(end, 0.0) / gap * (1 + ROUNDING)) + 1))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

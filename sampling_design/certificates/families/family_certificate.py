@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.certificates.exact.certificate import SampledCertificate, latest_samples
 from sampling_design.certificates.families.graphs import PathCompleteGraph, family_in_words, in_plant_terms
 from sampling_design.certificates.form.digest import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
@@ -71,7 +71,7 @@ class FamilyCertificate(SampledCertificate):
     def _samples_until(self, end: float) -> Array:
         """The most that a schedule of the family has; outputs that are read one at a time have samples of their own."""
         gaps = [part.min_gap for part in self.family.by_output if part is not None] or [self.min_gap]
-        return np.concatenate([end - gap * np.arange(int(max(end, 0.0) / gap) + 1) for gap in gaps])
+        return np.concatenate([latest_samples(end, gap) for gap in gaps])
 
     def _file_parts(self) -> dict[str, object]:
         return {"claim": FAMILY_CLAIM, "times": self.family.to_dict(), "graph": self.graph.to_dict(self.P)}

@@ -13,7 +13,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, DetectablePart, known_part
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -148,11 +148,14 @@ def accuracy_limit(
     ------
     ArgumentError
         If a bound is missing or of another shape, zones are not in order, or one of `zones` and `period` is missing.
+    UndecidedError
+        If disturbances are so weak, or `zones` so far apart, that no adversary can be followed in doubles.
 
     Notes
     -----
     *Assumptions.* Every schedule takes its samples at allowed times, noise and disturbance keep their bounds. *Claim.*
-    `lower` is attained: the adversary reads zero whenever it may be looked at. An exact sensor gives 0. *Method.* The
+    `lower` is attained: the adversary reads zero whenever it may be looked at. An exact sensor gives 0, and so does
+    `w_bound` 0. *Method.* The
     adversary's program with nodes at steps that are halved; then the trajectory is simulated exactly, |C x| bounded
     between nodes by chords and the second derivative, and everything divided by the largest ratio to its bound. The
     exact limit is at most `accuracy` of any one schedule.
@@ -177,11 +180,17 @@ def accuracy_limit(
     lower, phases = np.full(len(rows), np.inf), np.zeros(len(rows))
     witnesses: list[AccuracyWitness | None] = [None] * len(rows)
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    exact = bool(np.any(one.v == 0))
+    nothing = bool(np.any(one.v == 0) or not np.any(one.w))  # what nothing drives stays at rest
     for k in safe:
-        if not exact:
+        if not nothing:
             row = rows.matrix[k] @ known.lift
-            witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance)
+            try:
+                witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance)
+            except UndecidedError:
+                raise UndecidedError(
+                    "undecided: the disturbances are so weak beside the noise, or what is not measured grows so far "
+                    "between allowed times, that the adversary cannot be followed in doubles."
+                ) from None
         witness = witnesses[k]
         lower[k] = 0.0 if witness is None else witness.value
     return AccuracyLimit(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
 BOUNDS = {"w_bound": 0.02, "v_bound": 0.4}
@@ -124,3 +124,14 @@ def test_units_change_nothing(always):
 def test_bad_input_is_refused(change, match):
     with pytest.raises(ArgumentError, match=match):
         sd.accuracy.accuracy_limit(PLANT, **BOUNDS, **change)
+
+
+def test_what_nothing_drives_stays_at_rest():
+    assert sd.accuracy.accuracy_limit(PLANT, w_bound=0.0, v_bound=0.1).lower.tolist() == [0.0, 0.0]
+
+
+def test_an_undecided_limit_speaks_of_no_schedule():
+    """A mode that grows by e^500 until the next allowed time."""
+    plant = sd.Plant([[1.0]], [[1.0]])
+    with pytest.raises(UndecidedError, match="undecided: the disturbances are so weak beside the noise"):
+        sd.accuracy.accuracy_limit(plant, w_bound=0.1, v_bound=0.1, zones=[(0.0, 0.0)], period=500.0)

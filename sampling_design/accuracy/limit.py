@@ -155,7 +155,7 @@ def accuracy_limit(
     -----
     *Assumptions.* Every schedule takes its samples at allowed times, noise and disturbance keep their bounds. *Claim.*
     `lower` is attained: the adversary reads zero whenever it may be looked at. An exact sensor gives 0, and so does
-    `w_bound` 0. *Method.* The
+    `w_bound` 0: trajectories begin at rest, and what is left of an unknown start is not counted. *Method.* The
     adversary's program with nodes at steps that are halved; then the trajectory is simulated exactly, |C x| bounded
     between nodes by chords and the second derivative, and everything divided by the largest ratio to its bound. The
     exact limit is at most `accuracy` of any one schedule.

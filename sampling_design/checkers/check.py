@@ -39,7 +39,8 @@ def verdict_on(content: object, prove: "Callable[..., Proven]", work: "WorkLimit
     """Return the `Verdict` on the judged content of a file, as its claim proves it."""
     import numpy as np
 
-    from .outcome import MOST_WORK, PROVEN, UNDECIDED, Refused, Verdict, WorkLimit, refused
+    from .outcome import MOST_WORK, UNDECIDED, Refused, Verdict, WorkLimit, refused
+    from .parts import proven_verdict
 
     try:
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
@@ -48,7 +49,7 @@ def verdict_on(content: object, prove: "Callable[..., Proven]", work: "WorkLimit
         return refused(error)
     except (np.linalg.LinAlgError, OverflowError) as error:
         return Verdict(UNDECIDED, "range", f"these numbers are beyond the range of doubles ({error})")
-    return Verdict(PROVEN, found.inequality, found.reason, found.slack)
+    return proven_verdict(content, found)
 
 
 def check(data: Mapping[str, object], work: "WorkLimit | None" = None) -> dict[str, object]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .outcome import Proven
+from .outcome import PROVEN, Proven, Verdict
 from .strict import (
     Array,
     Reader,
@@ -86,12 +86,13 @@ MATRICES = dict.fromkeys(("P1", "P2", "Qw", "R", "Qv"), matrix())
 
 @dataclass(frozen=True)
 class Plant:
-    """x' = Ax + Gw, y = Cx."""
+    """x' = Ax + Gw, y = Cx; `part`: rows of another plant's state, which `check_part` has judged."""
 
     A: Array
     C: Array
     G: Array
     time_unit: str
+    part: bool = False
 
     @property
     def n(self) -> int:
@@ -127,6 +128,13 @@ class Claim:
     prove: Callable[..., Proven]
 
 
+def proven_verdict(content: object, found: Proven) -> Verdict:
+    """The verdict on content that is proven; of a part it says how nearly that is one of the whole plant."""
+    part = bool(getattr(getattr(content, "plant", None), "part", False))
+    whole = f"; of the whole plant to {CARRIED:g} of the terms that make up each entry" if part else ""
+    return Verdict(PROVEN, found.inequality, found.reason + whole, found.slack)
+
+
 def digest(data: Mapping[str, object]) -> str:
     """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
     rest = {key: value for key, value in data.items() if key != "digest"}
@@ -144,7 +152,7 @@ def plant_of(read: Tree) -> Plant:
     if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
         raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
     signals_of(read, n, p, G.shape[1])
-    found = Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
+    found = Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"], "part_of" in read)
     if "part_of" in read:
         part = read["part_of"]
         whole = plant_of({"time_unit": found.time_unit, **part["plant"]})

@@ -66,6 +66,7 @@ class FunctionalPlant(Plant):
     and checker works the equations out again. *Theory*: section 16.
     """
 
+    is_part = True
     whole: Plant = field(default=None, kw_only=True)  # type: ignore[assignment]
     map: Converted[npt.ArrayLike, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     rows: int = field(default=0, kw_only=True)

@@ -156,6 +156,8 @@ class Plant(Record):
     True
     """
 
+    is_part: ClassVar[bool] = False
+    """Whether it is that of chosen rows of another one's state."""
     _reader: ClassVar[str] = "read_plant"
     _order: ClassVar[str] = ORDER
     _absent: ClassVar[dict[str, str]] = dict.fromkeys(("dt", "Ts", "h", "sampling_time", "sample_time"), DISCRETE)

@@ -28,6 +28,7 @@ from sampling_design import (
     window_sigma,
 )
 from sampling_design.certificates.files import certificate_from_dict
+from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import (
     ArgumentError,
@@ -340,6 +341,23 @@ def test_a_map_of_another_shape_is_no_part():
     part = {**data["plant"]["part_of"], "map": [[1.0, 0.0, 0.0]]}
     with pytest.raises(ArgumentError, match=r"must have a map of shape \(2, 3\), and 1 to 2 rows"):
         certificate_from_dict(redigested(data | {"plant": data["plant"] | {"part_of": part}}))
+
+
+def test_a_verdict_says_how_nearly_a_part_is_one_of_the_whole_plant():
+    """Large terms that cancel may hide a coupling of size one: z = x1 + x2, z' = z / 10 + x3 where x3 says 1e10."""
+    A = [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]
+    data = certify(Plant(A, [[1.0, 1.0, 0.0]]), EVERY_SECOND, of=[[1.0, 1.0, 0.0]], eta=0.7, P2=[[1.0]]).to_dict()
+    hidden = json.loads(json.dumps(data))
+    matrix = hidden["plant"]["part_of"]["plant"]["matrices"]["A"]
+    matrix[0][2], matrix[1][2] = 1e10, 1.0 - 1e10
+    for content in (data, redigested(hidden)):
+        for found in (verdict(content), verify_rigorously(content)):
+            assert found.verdict == "proven"
+            assert found.reason.endswith("; of the whole plant to 1e-10 of the terms that make up each entry")
+    plain = certify(Plant([[0.1]], [[1.0]]), EVERY_SECOND, eta=0.7, P2=[[1.0]]).to_dict()
+    assert "whole plant" not in verdict(plain).reason + verify_rigorously(plain).reason
+    matrix[1][2] = 2.0 - 1e10
+    assert verdict(redigested(hidden)).verdict == "bad file"
 
 
 def test_plant_files_hold_the_whole_plant_beside_the_part(tmp_path):

@@ -256,7 +256,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         """What checkers judge: the numbers of the file, before there is one."""
         own, stated = self.plant, self._stated()
         judge = claim_of({"format": FORMAT, **stated}).record
-        return judge(stated, FilePlant(own.A, own.C, own.G, own.time_unit))
+        return judge(stated, FilePlant(own.A, own.C, own.G, own.time_unit, own.is_part))
 
     @property
     def constants(self) -> ConstantList:

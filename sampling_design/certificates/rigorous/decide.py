@@ -28,7 +28,6 @@ from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.claims import certificate, claim_of
 from sampling_design.checkers.outcome import (
     BAD_FILE,
-    PROVEN,
     UNDECIDED,
     Proven,
     Refused,
@@ -38,7 +37,7 @@ from sampling_design.checkers.outcome import (
     holds,
     refused,
 )
-from sampling_design.checkers.parts import FORMAT, Weights
+from sampling_design.checkers.parts import FORMAT, Weights, proven_verdict
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError
@@ -185,7 +184,7 @@ def judged_while_sought(content: object, claim: str, budget: float) -> Verificat
     found = verdict_on_content(content, claim_of({"format": FORMAT, "claim": claim}).prove)
     if found.verdict != "undecided" or find_spec("flint") is None:
         return found
-    return _verified(lambda clock: _decided_as(claim, content, clock), budget, WorkLimit(HANDED_OVER))
+    return _verified(content, lambda clock: _decided_as(claim, content, clock), budget, WorkLimit(HANDED_OVER))
 
 
 def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: WorkLimit | None = None) -> Verification:
@@ -218,30 +217,28 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
     L D L' in balls.
     """
 
-    def decide(clock: Budget) -> Proven:
-        return _decided_as(str(data["claim"]), content, clock)
-
     try:
         content = certificate(dict(data))
     except BadFile as error:
         flint()
         return verification(Verdict(BAD_FILE, error.broken, f"the data are no certificate: {error}"), BITS)
-    return _verified(decide, budget, work)
+    return _verified(content, lambda clock: _decided_as(str(data["claim"]), content, clock), budget, work)
 
 
 def decided_on_schedule(content: Sampled, work: WorkLimit) -> Verification:
     """The same of what a file on one schedule would hold, while it is sought."""
-    return _verified(lambda clock: assumption_7(content, clock), np.inf, work)
+    return _verified(content, lambda clock: assumption_7(content, clock), np.inf, work)
 
 
-def _verified(decide: Callable[[Budget], Proven], budget: float, work: WorkLimit | None) -> Verification:
-    """The verdict that `decide` finds, or is stopped with."""
+def _verified(
+    content: object, decide: Callable[[Budget], Proven], budget: float, work: WorkLimit | None
+) -> Verification:
+    """The verdict on content that `decide` finds, or is stopped with."""
     flint()
     clock = Budget(budget, work=work)
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
-            proven = decide(clock)
-        found = Verdict(PROVEN, proven.inequality, proven.reason, proven.slack)
+            found = proven_verdict(content, decide(clock))
     except Refused as stop:
         found = refused(stop)
     except BudgetSpentError:

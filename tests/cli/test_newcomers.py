@@ -147,6 +147,7 @@ LINES = {
         "accuracy p.toml s.csv --w 0.1 --v 0.1 --of position\u00a0velocity",
         "`--of` must name states",
     ),
+    "times in place of a file": ("sigma p.toml 1,2,3", "the file must end in .csv or .json, got '1,2,3'"),
     "a zone without a date": ("design p.toml r.toml --zone Europe/Berlin", "give --start DATE with it"),
     "a date without a folder": ("design p.toml r.toml --start 2026-03-02", "Give --output DIR"),
     "a date in words": ("design p.toml r.toml -o o --start tomorrow", "a date like 2026-01-05T08:00"),

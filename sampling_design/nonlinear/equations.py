@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_list, is_table
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear.functions import KeptFunction, PlantFunctions, casadi, takes_time
+from sampling_design.nonlinear.functions import KeptFunction, casadi, takes_time
 from sampling_design.nonlinear.region import StateRegion, own_box
 from sampling_design.plants.plant import Plant, Signals, signals_of
 from sampling_design.records import checks
@@ -72,7 +72,8 @@ class PlantEquations(Record):
         self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
 
     @cached_property
-    def _functions(self) -> PlantFunctions:
+    def _functions(self) -> tuple[Function, ...]:
+        """f, h and g as casadi Functions."""
         ca = casadi()
         t = ca.SX.sym("t")
         x, u, w, v = self._symbols()
@@ -99,28 +100,27 @@ class PlantEquations(Record):
                 built.append(ca.Function(label, [x, u], [ca.reshape(column, count, 1)]))
             else:
                 built.append(ca.Function(label, [*arguments, t], [column]))
-        varies = takes_time(self.dynamics) or takes_time(self.measurement)
-        return PlantFunctions(built[0], built[1], built[2], varies)
+        return tuple(built)
 
-    @property
+    @cached_property
     def varies(self) -> bool:
         """Whether f or h depend on time."""
-        return self._functions.varies
+        return takes_time(self.dynamics) or takes_time(self.measurement)
 
     @property
     def rate_casadi(self) -> Function:
         """f as a casadi Function of (x, u, w, t)."""
-        return self._functions.rate
+        return self._functions[0]
 
     @property
     def output_casadi(self) -> Function:
         """h as a casadi Function of (x, u, v, t)."""
-        return self._functions.output
+        return self._functions[1]
 
     @property
     def limits_casadi(self) -> Function:
         """g as a casadi Function of (x, u); no entries where there is none."""
-        return self._functions.limits
+        return self._functions[2]
 
     @cached_property
     def f_casadi(self) -> Function:
@@ -178,10 +178,9 @@ class PlantEquations(Record):
     def __getstate__(self) -> dict[str, object]:
         """The plant as data: functions as casadi's own, which can be pickled."""
         kept = {key: value for key, value in self.__dict__.items() if key in self.__dataclass_fields__}
-        made = self._functions
-        kept["dynamics"] = KeptFunction(made.rate, made.varies)
-        kept["measurement"] = KeptFunction(made.output, made.varies)
-        kept["limits"] = None if self.limits is None else made.limits
+        kept["dynamics"] = KeptFunction(self.rate_casadi, self.varies)
+        kept["measurement"] = KeptFunction(self.output_casadi, self.varies)
+        kept["limits"] = None if self.limits is None else self.limits_casadi
         return kept
 
     def __setstate__(self, state: dict[str, object]) -> None:

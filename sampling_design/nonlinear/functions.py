@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from sampling_design.errors import MissingExtraError
 from sampling_design.plants.plant import Plant, Signals
@@ -27,15 +27,6 @@ def casadi() -> ModuleType:
 
 
 Equation: TypeAlias = "Callable[[SX, SX, SX], SX]"
-
-
-class PlantFunctions(NamedTuple):
-    """f, h and g as casadi Functions, and whether time is an argument of f or h."""
-
-    rate: Function
-    output: Function
-    limits: Function
-    varies: bool
 
 
 @dataclass(frozen=True)

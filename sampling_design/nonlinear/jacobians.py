@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -107,18 +107,8 @@ ROUNDING = 1e-9  # radii below this share of an entry are rounding
 SUSPECTS = 12  # linearisations in which a refusal looks for what has no certificate
 
 
-class SymbolicPlant(NamedTuple):
-    """x, u, w, f(x, u, w) and h(x, u) as dense columns."""
-
-    x: SX
-    u: SX
-    w: SX
-    f: SX
-    h: SX
-
-
-def symbols_of(plant: PlantEquations) -> SymbolicPlant:
-    """Return the plant's functions without noise.
+def symbols_of(plant: PlantEquations) -> tuple[SX, SX, SX, SX, SX]:
+    """Return the plant's functions without noise: x, u, w, f(x, u, w) and h(x, u) as dense columns.
 
     Raises ArgumentError if the noise is not added to the outputs, one to each.
     """
@@ -129,13 +119,13 @@ def symbols_of(plant: PlantEquations) -> SymbolicPlant:
     if not plant.adds_noise:
         raise ArgumentError("`measurement` must add one noise to each output, y = h(x, u) + v, for a certificate.")
     quiet = ca.substitute(outputs, v, ca.SX.zeros(plant.n_noises)) if plant.n_noises else outputs
-    return SymbolicPlant(x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet))
+    return x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet)
 
 
 def model_of(plant: PlantEquations) -> dict[str, Plain]:
     """Return the plant as certificate files hold it."""
-    ca, s = casadi(), symbols_of(plant)
-    f, h = ca.Function("dynamics", [s.x, s.u, s.w], [s.f]), ca.Function("measurement", [s.x, s.u], [s.h])
+    ca, (x, u, w, rate, output) = casadi(), symbols_of(plant)
+    f, h = ca.Function("dynamics", [x, u, w], [rate]), ca.Function("measurement", [x, u], [output])
     boxes: dict[str, Plain] = {
         key: {"low": plain(plant.bounds[name][0]), "high": plain(plant.bounds[name][1])}
         for key, name in (("u", "inputs"), ("w", "disturbances"))
@@ -157,10 +147,10 @@ def points_of(plant: PlantEquations, rng: np.random.Generator, count: int = POIN
 
 def jacobians_at(plant: PlantEquations, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
     """(A, G) side by side (K, n, n + q) and C (K, p, n) at K points; those that are not finite are left out."""
-    ca, s = casadi(), symbols_of(plant)
-    both = ca.Function("both", [s.x, s.u, s.w], [
-        ca.densify(ca.horzcat(ca.jacobian(s.f, s.x), ca.jacobian(s.f, s.w))), ca.densify(ca.jacobian(s.h, s.x)),
-    ])  # fmt: skip
+    ca, (*symbols, f, h) = casadi(), symbols_of(plant)
+    at_x, _, at_w = symbols
+    AG = ca.horzcat(ca.jacobian(f, at_x), ca.jacobian(f, at_w))
+    both = ca.Function("both", symbols, [ca.densify(AG), ca.densify(ca.jacobian(h, at_x))])
     AG, C = (np.array(part) for part in both.map(len(x))(x.T, u.T, w.T))
     n, p, count = plant.n_states, plant.n_outputs, len(x)
     stack = AG.reshape(n, count, -1).transpose(1, 0, 2), C.reshape(p, count, n).transpose(1, 0, 2)

@@ -23,7 +23,7 @@ from sampling_design.nonlinear.open_loop import NonlinearLoop
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
-from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
+from sampling_design.nonlinear.weights import fit_covariance, scaled_weights, warn_of_scales
 from sampling_design.nonlinear.window_forms import WindowData, WindowSolution
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
 from sampling_design.numerics.filtering import propagate
@@ -304,7 +304,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if trouble or not np.isfinite(Y).all():
             return sample, ""
         u = self.loop.input(state, sample.t)
-        C = output_slope(self.plant, x, u, sample.t)
+        C = self.plant.linearise(x, u, sample.t).C
         noise = fit_covariance(self.plant, self.scaled)
         far = beyond(np.nan_to_num(sample.y - self.plant.h(x, u, t=sample.t)), propagate(Y, C, noise), gate)
         if not far.any():

@@ -35,19 +35,10 @@ class ActiveBounds(NamedTuple):
     v: Array
 
 
-class NewtonStep(NamedTuple):
-    """A Newton step: the moves of the unknowns, and the slopes of the cost by active w and v (0 at a free one)."""
-
-    move: ProgramPoint
-    by_w: Array
-    by_v: Array
-    rows: Array
-
-
 class QuadraticMinimum(NamedTuple):
-    """Where a quadratic model is least: moves (K+1, n+1) of the nodes and a 1, of w and v; slopes as in `NewtonStep`.
+    """Where a quadratic model is least: moves (K+1, n+1) of the nodes and a 1, of w and v.
 
-    forces (K+1, n+1): slopes of what lies ahead by the state at a node.
+    by_w, by_v: slopes of the cost by active w and v; forces (K+1, n+1): those of what lies ahead by the state there.
     """
 
     moves: Array
@@ -56,15 +47,6 @@ class QuadraticMinimum(NamedTuple):
     by_w: Array
     by_v: Array
     forces: Array
-
-
-class BarrierTerms(NamedTuple):
-    """What interior points add to a quadratic model: steep d^2 / 2 + linear d for each move d of w and v."""
-
-    steep_w: Array
-    steep_v: Array
-    linear_w: Array
-    linear_v: Array
 
 
 class CondensedModel(NamedTuple):
@@ -135,9 +117,9 @@ class CondensedNewton:
             found = window.step(forms, point, active, carried)
             if found is None:
                 return None
-            step, active = found
-            point = ProgramPoint(*(old + move for old, move in zip(point, step.move, strict=True)))
-            point, rows = window.onto_bounds(point, active), step.rows
+            moves, rows, active = found
+            point = ProgramPoint(*(old + move for old, move in zip(point, moves, strict=True)))
+            point = window.onto_bounds(point, active)
         else:
             return None
         # a bound whose multiplier is within the tolerance of 0 may be left either way
@@ -234,8 +216,11 @@ class _NewtonWindow:
 
     def step(
         self, forms: LocalForms, point: ProgramPoint, active: ActiveBounds, carried: Array
-    ) -> tuple[NewtonStep, ActiveBounds] | None:
-        """Return the step to the minimum of the quadratic model within the bounds of w and v, and what it holds."""
+    ) -> tuple[ProgramPoint, Array, ActiveBounds] | None:
+        """Return the step to the minimum of the quadratic model within the bounds of w and v, and what it holds.
+
+        The moves of the unknowns, the multipliers of the rows, and the bounds that are active.
+        """
         quadratic = _QuadraticModel(self, forms, point, carried)
         for changes in range(MOST_CHANGES):
             found = quadratic.least(active)
@@ -246,7 +231,7 @@ class _NewtonWindow:
                 self._side(active.v, point.v + found.v, found.by_v, "v"),
             )
             if np.array_equal(new.w, active.w) and np.array_equal(new.v, active.v):
-                return quadratic.whole(found), active
+                return *quadratic.whole(found), active
             inside = quadratic.interior(found) if changes == BY_SIGNS else new
             if inside is None:
                 return None
@@ -283,8 +268,11 @@ class _QuadraticModel:
         self.node[np.ix_(range(K + 1), kept, kept)] = forms.bend
         self.node[:, n, kept] = self.node[:, kept, n] = forms.gradient
 
-    def least(self, active: ActiveBounds, barrier: BarrierTerms | None = None) -> QuadraticMinimum | None:
-        """Return where the value is least with what is active at its bound; None where it is nowhere."""
+    def least(self, active: ActiveBounds, barrier: tuple[Array, ...] = ()) -> QuadraticMinimum | None:
+        """Return where the value is least with what is active at its bound; None where it is nowhere.
+
+        `barrier`: steep and linear of w and v, for steep d^2 / 2 + linear d more at each move d of them.
+        """
         found = self.eliminated(active, barrier)
         if found is None:
             return None
@@ -333,7 +321,7 @@ class _QuadraticModel:
             aim_under, aim_over = CLOSER * gap * has_low / below, CLOSER * gap * has_high / above
             steep = under / below + over / above
             linear = aim_over - aim_under - steep * (value - start)
-            found = self.least(active_bounds, BarrierTerms(*split(steep), *split(linear)))
+            found = self.least(active_bounds, (*split(steep), *split(linear)))
             if found is None:
                 return None
             move = start + _flat(found.w, found.v) - value
@@ -351,7 +339,7 @@ class _QuadraticModel:
             value, under, over = value + share * move, under + share * by_under, over + share * by_over
         return None
 
-    def eliminated(self, active: ActiveBounds, barrier: BarrierTerms | None = None) -> CondensedModel | None:
+    def eliminated(self, active: ActiveBounds, barrier: tuple[Array, ...] = ()) -> CondensedModel | None:
         """Minimise over what is free from the last node to the first; None (or LinAlgError) if there is no minimum."""
         n = self.point.z0.size
         one, window = n + 1, self.window
@@ -366,9 +354,9 @@ class _QuadraticModel:
             node = v_map.transpose(0, 2, 1) @ node @ v_map
             each = np.arange(one, node.shape[2])
             node[:, each, each] += active.v != 0
-        if barrier is not None:
-            interval = _bent(interval, n, barrier.steep_w, barrier.linear_w)
-            node = _bent(node, n, barrier.steep_v, barrier.linear_v)
+        if barrier:
+            steep_w, steep_v, linear_w, linear_v = barrier
+            interval, node = _bent(interval, n, steep_w, linear_w), _bent(node, n, steep_v, linear_v)
         np.linalg.cholesky(node[:, one:, one:])
         v_gains = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
         at = node[:, :one, :one] - node[:, :one, one:] @ v_gains
@@ -393,8 +381,8 @@ class _QuadraticModel:
         into[:, one:, one - 1] = go
         return into, go
 
-    def whole(self, found: QuadraticMinimum) -> NewtonStep:
-        """Return the step of all unknowns."""
+    def whole(self, found: QuadraticMinimum) -> tuple[ProgramPoint, Array]:
+        """Return the moves of all unknowns, and the multipliers of the rows."""
         K, d, n = self.point.z.shape
         known = np.concatenate([found.moves[:-1], found.w], axis=1)
         both = np.matmul(self.inside, known[:, None, :, None])
@@ -402,7 +390,7 @@ class _QuadraticModel:
         by_z[:, -1] += found.forces[1:, :n]
         rows = -np.linalg.solve(self.forms.inside.transpose(0, 2, 1), by_z.reshape(K, d * n, 1))
         move = ProgramPoint(found.moves[0, :n], found.v, found.w, both[..., :n, 0])
-        return NewtonStep(move, found.by_w, found.by_v, rows.reshape(K, d, n))
+        return move, rows.reshape(K, d, n)
 
 
 def _flat(w: Array, v: Array) -> Array:

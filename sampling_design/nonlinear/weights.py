@@ -84,8 +84,3 @@ def fit_covariance(plant: NonlinearPlant, weights: NonlinearWeights) -> Array:
     if plant.n_noises == plant.n_outputs:
         found = found + np.linalg.solve(weights.twice * weights.Qv, np.eye(v.size)) * v * v[:, None]
     return np.asarray(found)
-
-
-def output_slope(plant: NonlinearPlant, x: Array, u: Array, t: float) -> Array:
-    """dh/dx (p, n) at a state, without noise."""
-    return plant.linearise(x, u, t).C

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
@@ -45,13 +45,8 @@ class FamilyStep:
 Steps = Callable[[Word], list[FamilyStep]]
 
 
-@dataclass(frozen=True)
-class FamilyVariation:
-    """Members near one: `build(x)` for x near `origin`, as far as `spread`."""
-
-    origin: Array
-    spread: float
-    build: Callable[[Array], PeriodicSchedule]
+FamilyVariation: TypeAlias = tuple[Array, float, Callable[[Array], PeriodicSchedule]]
+"""(origin, spread, build): members near one, `build(x)` for x near `origin`, as far as `spread`."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +198,7 @@ class SamplingFamily(PlainRecord, ABC):
                 return start
             return PeriodicSchedule(np.append(gaps, last), time_unit=start.time_unit)
 
-        return FamilyVariation(np.array(start.gaps)[:-1], spread, build)
+        return np.array(start.gaps)[:-1], spread, build
 
     def narrowed(self, fraction: float) -> Self | None:
         """Return the part of the family around its nominal schedule, None where that has no obvious meaning."""

@@ -404,7 +404,7 @@ class Jitter(NominalFamily, kind="jitter"):
         if len(start) == len(cycle) or not self.timing_tolerance:
             return None
         origin = np.array(start.times) - np.append(cycle.times, cycle.times + cycle.period)
-        return FamilyVariation(origin, self.timing_tolerance, self._shifted)
+        return origin, self.timing_tolerance, self._shifted
 
     def _shifted(self, shifts: Array) -> PeriodicSchedule:
         """Two periods with these deviations."""

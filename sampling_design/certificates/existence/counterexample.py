@@ -286,10 +286,10 @@ def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSc
     near = family.variation(start)
     if near is None:
         return start
-    origin, build = near.origin, near.build
+    origin, spread, build = near
 
     def margin(steps: Array) -> float:
-        schedule = build(origin + near.spread * steps)
+        schedule = build(origin + spread * steps)
         return judged(plant, schedule, eta).margin if family.contains(schedule) else 1.0
 
     simplex = np.vstack([np.zeros(origin.size), np.eye(origin.size) / 2])
@@ -297,5 +297,5 @@ def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSc
         margin, simplex[0], method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": 60 * origin.size, "xatol": 1e-12, "fatol": 1e-12},
     )  # fmt: skip
-    best = build(origin + near.spread * found.x)
+    best = build(origin + spread * found.x)
     return best if family.contains(best) else start

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,23 +38,20 @@ _LOCAL_COST = 0.06  # of a cut: such a bound takes a fraction of a relaxation's 
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
 
 
-@dataclass(order=True)
-class _ZoneBox:
-    """A box of zones with its bound, where to cut it next, and the windows that mattered; largest bounds come first.
+class _ZoneBox(NamedTuple):
+    """A box of zones with its bound, where to cut it next, and the windows that mattered.
 
     `small` where only windows that follow their samples bound it, `cost` in relaxations.
     """
 
-    rank: float
-    number: int
-    part: BoundPart = field(compare=False)
-    index: int = field(compare=False)
-    at: float = field(compare=False)
-    width: float = field(compare=False)
-    hints: Array = field(compare=False)
-    small: bool = field(compare=False)
-    cost: float = field(compare=False)
-    problem: DesignProblem = field(compare=False)
+    part: BoundPart
+    place: int  # the sample whose zone is cut next, `at` that time
+    at: float
+    width: float
+    hints: Array
+    small: bool
+    cost: float
+    problem: DesignProblem
 
 
 def narrowed(
@@ -134,7 +132,7 @@ def _rooted(
                 return None
             root = _box(case, region, side, enough, budget=budget)
             roots += [] if root is None else [root]
-        if roots and (best is None or min(roots).rank > min(best).rank):
+        if roots and (best is None or _largest(roots) < _largest(best)):
             best = roots
     if best is None or budget.over:
         return None
@@ -147,19 +145,23 @@ def _rooted(
     return tree
 
 
+def _largest(boxes: list[_ZoneBox]) -> float:
+    return max(box.part.value for box in boxes)
+
+
 class _ZoneBoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
     def __init__(self, enough: float, budget: Budget = ENDLESS) -> None:
         self.enough, self.budget = enough, budget
-        self.open: list[_ZoneBox] = []
+        self.open: list[tuple[float, int, _ZoneBox]] = []
         self.closed: list[BoundPart] = []
         self.made, self.spent = 0, 0.0
 
     @property
     def parts(self) -> tuple[BoundPart, ...]:
         """All parts; together they cover every schedule."""
-        return (*self.closed, *(box.part for box in self.open))
+        return (*self.closed, *(box.part for *_, box in self.open))
 
     @property
     def value(self) -> float:
@@ -189,16 +191,17 @@ class _ZoneBoxTree:
 
     def cut(self) -> bool:
         """Cut the box with the largest bound in two; False where nothing is left to gain."""
-        if not self.open or self.open[0].part.value <= self.enough:
+        if not self.open or -self.open[0][0] <= self.enough:
             return False
-        box = self.open[0]
+        first = self.open[0]
+        box = first[2]
         if box.width <= NARROW * box.problem.period / box.problem.samples:
             return False
-        made = [self.bounded(half, box) for half in halves(box.part.zones, box.index, box.at)]
+        made = [self.bounded(half, box) for half in halves(box.part.zones, box.place, box.at)]
         for half in made:  # first the halves, then the whole is left out: an interrupt leaves no schedule uncovered
             if half is not None:
                 self.keep(half)
-        self.open.remove(box)
+        self.open.remove(first)
         heapq.heapify(self.open)
         return True
 
@@ -218,7 +221,7 @@ class _ZoneBoxTree:
         """Keep a bounded box, open where its bound is not enough."""
         self.made += 1
         if box.part.value > self.enough:
-            heapq.heappush(self.open, replace(box, number=self.made))
+            heapq.heappush(self.open, (-box.part.value, self.made, box))
         else:
             self.closed.append(box.part)
 
@@ -241,37 +244,25 @@ def _box(
     grown = 2 * growth_rate(problem) * float(widths.max())
     local = local_part(problem, zones, side, aim, budget) if size <= _SMALL or grown > _STEEP else None
     if local is not None:
-        part, relaxed = local
-        found.append((part, relaxed.index, float(tight[relaxed.index].mean()), relaxed.width))
+        part, index = local
+        found.append((part, index, float(tight[index].mean()), float(widths[index])))
         if part.value <= aim:
-            return _ZoneBox(-part.value, 0, *found[0], np.zeros(0), small=True, cost=_LOCAL_COST, problem=problem)
+            return _ZoneBox(*found[0], np.zeros(0), small=True, cost=_LOCAL_COST, problem=problem)
     hints = np.zeros(0) if wider is None else wider.hints
     small = wider is not None and (wider.small or size <= _TINY_BOX or grown > _STEEP)
     if not small:
         made = zone_part(problem, zones, side, None if wider is None else hints, budget)
         if made is None:
             return None
-        found.append((made[0], made[1].index, made[1].cut, made[1].width))
-        hints = matters(problem, made[1].found)
+        found.append((made[0], *made[2]))
+        hints = matters(problem, made[1])
     if not found:
         index = int(np.argmax(widths))
         nothing = BoundPart("zones", np.zeros(0), np.zeros((0, 1, 1)), zones, side=side, chosen=chosen_in(problem))
         found.append((nothing, index, float(tight[index].mean()), float(widths[index])))
     part, index, cut, width = min(found, key=lambda one: one[0].value)
     if wider is not None and part.value > _INHERITS * wider.part.value:
-        bare = replace(wider.part, zones=zones)
-        part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
+        part = min(part, replace(wider.part, zones=zones).judged(problem), key=lambda p: p.value)
     small = small or (part.method == "local" and part.value < _CLEARLY * found[-1][0].value)
     cost = (0.5 if len(found) == 2 or not small else 0.0) + _LOCAL_COST
-    return _ZoneBox(
-        rank=-part.value,
-        number=0,
-        part=part,
-        index=index,
-        at=cut,
-        width=width,
-        hints=hints,
-        small=small,
-        cost=cost,
-        problem=problem,
-    )
+    return _ZoneBox(part, index, cut, width, hints, small, cost, problem)

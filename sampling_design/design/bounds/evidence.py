@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from sampling_design.design.bounds.gap_bound import GapMultipliers, gap_bound, relax_gaps
-from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
+from sampling_design.design.bounds.gap_bound import gap_bound, relax_gaps
+from sampling_design.design.bounds.local_bound import local_bound, relax_local
 from sampling_design.design.bounds.relaxation import JUST_BESIDE, LEAST_SECONDS, Relaxation, grams_at, relax_placed
 from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
-from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters, relax_zones, zone_bound
+from sampling_design.design.bounds.zone_bound import matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import (
     TINY,
     Side,
@@ -52,10 +52,6 @@ def _any() -> Mask:
     return np.zeros((0, 0), dtype=bool)
 
 
-def _untied() -> Index:
-    return np.zeros((0, 4), dtype=np.intp)
-
-
 @dataclass(frozen=True, eq=False)
 class BoundPart:
     """Multipliers that bound all schedules whose samples lie in `zones` (k, 2).
@@ -79,8 +75,12 @@ class BoundPart:
     side: Side = "late"
     value: float = np.inf
     price: float = 0.0
-    tied: Index = field(default_factory=_untied)
+    tied: Index = field(default_factory=lambda: np.zeros((0, 4), dtype=np.intp))
     chosen: Mask = field(default_factory=_any)
+
+    def judged(self, problem: DesignProblem) -> BoundPart:
+        """The part with the bound that it proves for `problem`."""
+        return replace(self, value=self.value_for(problem))
 
     def value_for(self, problem: DesignProblem) -> float:
         """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
@@ -105,7 +105,7 @@ class BoundPart:
             return alone_bound(problem, self.starts, Z)
         if self.method == "gaps":
             traces = np.sum(bare**2, axis=(1, 2))
-            return gap_bound(problem, GapMultipliers(self.starts, Z, self.tilt), traces / traces.sum())
+            return gap_bound(problem, self.starts, Z, self.tilt, traces / traces.sum())
         if not zoned(problem) or self.zones.shape != (problem.samples, 2) or self.side not in sides(problem):
             return np.inf
         zones = tightened(problem, self.zones, self.side)
@@ -210,7 +210,7 @@ class UpperBound:
                 tilt=part.tilt * canon.size**2 if part.method == "gaps" else part.tilt / canon.time,
                 price=part.price * canon.size**2,
             )
-            parts.append(replace(bare, value=bare.value_for(canon.outside)))
+            parts.append(bare.judged(canon.outside))
         return UpperBound(max(part.value for part in parts), tuple(parts))
 
     def to_dict(self) -> dict[str, Plain]:
@@ -230,8 +230,8 @@ def _part(
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
     starts = starts if method == "alone" else clear_of_ends(problem, starts)
-    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, side=side, chosen=chosen_in(problem))
-    return replace(bare, value=bare.value_for(problem))
+    zones = _none() if zones is None else zones
+    return BoundPart(method, starts, weights, zones, side=side, chosen=chosen_in(problem)).judged(problem)
 
 
 def chosen_in(problem: DesignProblem) -> Mask:
@@ -291,9 +291,8 @@ def slow_part(problem: DesignProblem, budget: Budget = ENDLESS) -> BoundPart | N
     seconds = budget.seconds_left(LEAST_SECONDS, 1 / 3)
     found = relax_placed(smaller, seconds=seconds)
     part = placed_part(smaller, found, budget)
-    bare = replace(part, weights=slow @ part.weights @ slow.T)
-    bare = replace(bare, value=bare.value_for(problem))
-    return _priced(problem, bare, 0.0) if problem.is_costly else bare
+    whole = replace(part, weights=slow @ part.weights @ slow.T).judged(problem)
+    return _priced(problem, whole, 0.0) if problem.is_costly else whole
 
 
 def slow_states(problem: DesignProblem) -> Array | None:
@@ -312,36 +311,41 @@ def slow_states(problem: DesignProblem) -> Array | None:
 
 def zone_part(
     problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None, budget: Budget = ENDLESS
-) -> tuple[BoundPart, ZoneRelaxation] | None:
-    """Bound for the schedules in `zones` and the relaxation behind it; None where no schedule lies there."""
+) -> tuple[BoundPart, Relaxation, tuple[int, float, float]] | None:
+    """Bound for the schedules in `zones`, the relaxation behind it, and the cut that divides most.
+
+    None where no schedule lies there.
+    """
     tight = tightened(problem, zones, side)
     if tight is None:
         return None
-    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, budget)
-    part = _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side)
+    relaxed, cut = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, budget)
+    part = _part(problem, "zones", relaxed.starts, relaxed.Z, zones, side=side)
     slow = slow_states(problem)
     if slow is not None:
-        bare = replace(part, weights=slow @ (slow.T @ part.weights @ slow) @ slow.T)
-        part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
-    return part, relaxed
+        alone = replace(part, weights=slow @ (slow.T @ part.weights @ slow) @ slow.T)
+        part = min(part, alone.judged(problem), key=lambda p: p.value)
+    return part, relaxed, cut
 
 
 def local_part(
     problem: DesignProblem, zones: Array, side: Side, aim: float, budget: Budget = ENDLESS
-) -> tuple[BoundPart, LocalRelaxation] | None:
-    """Bound for the schedules of a small box, near a sigma that is aimed at; None where nothing came out."""
+) -> tuple[BoundPart, int] | None:
+    """Bound for the schedules of a small box, near a sigma that is aimed at, and which sample's zone to cut next.
+
+    None where nothing came out.
+    """
     tight = tightened(problem, zones, side)
     left = budget.seconds_left(LEAST_SECONDS)
     found = None if tight is None else relax_local(problem, tight, aim, left)
     if found is None:
         return None
-    weights = problem.rows.S @ found.roots
+    windows, roots, nu, index = found
+    weights = problem.rows.S @ roots
     weights = weights @ np.swapaxes(weights, 1, 2)
     weights = weights / np.trace(weights, axis1=1, axis2=2).sum()
-    bare = BoundPart(
-        "local", np.zeros(0), weights, zones, found.nu, side, tied=found.windows, chosen=chosen_in(problem)
-    )
-    return replace(bare, value=bare.value_for(problem)), found
+    bare = BoundPart("local", np.zeros(0), weights, zones, nu, side, tied=windows, chosen=chosen_in(problem))
+    return bare.judged(problem), index
 
 
 def gap_bounded(problem: DesignProblem, known: UpperBound, sigma: float, budget: Budget = ENDLESS) -> UpperBound:
@@ -353,11 +357,11 @@ def gap_bounded(problem: DesignProblem, known: UpperBound, sigma: float, budget:
         found = None if budget.over else relax_gaps(problem, sigma, budget.seconds_left(LEAST_SECONDS))
         if found is None:
             break
-        weights = problem.rows.S @ found.Z @ problem.rows.S.T
+        gaps, Z, potential = found
+        weights = problem.rows.S @ Z @ problem.rows.S.T
         weights = (weights + np.swapaxes(weights, 1, 2)) / 2
         total = float(np.trace(weights, axis1=1, axis2=2).sum())
-        bare = BoundPart("gaps", found.gaps, weights / total, tilt=found.potential / total)
-        part = replace(bare, value=bare.value_for(problem))
+        part = BoundPart("gaps", gaps, weights / total, tilt=potential / total).judged(problem)
         known = UpperBound(part.value, (part,)) if part.value < known.value else known
         if not sigma * _AIMED < part.value < np.inf:
             break

@@ -95,15 +95,6 @@ class _Grid:
         return np.asarray((place + 2 >= gaps[:, None] + apart) & (place <= self.per_period - apart + 1))
 
 
-@dataclass(frozen=True, eq=False)
-class GapMultipliers:
-    """Psd Z (N, n, n) in the scaled basis at `gaps`, linear between them, and V at the ends of equal parts."""
-
-    gaps: Array
-    Z: Array
-    potential: Array
-
-
 def _grid(problem: DesignProblem) -> _Grid | None:
     """The grid of V; None where gaps do not say all of a schedule, or there are too few or too many."""
     held = problem.samples * _Grid(problem, 1).periods
@@ -152,10 +143,11 @@ def _gram(y: Array, z: Array) -> Array:
     return np.asarray((found + np.swapaxes(found, -1, -2)) / 2)
 
 
-def relax_gaps(problem: DesignProblem, sigma: float, seconds: float | None = None) -> GapMultipliers | None:
+def relax_gaps(problem: DesignProblem, sigma: float, seconds: float | None = None) -> tuple[Array, Array, Array] | None:
     """Multipliers that prove a sigma near the one that is aimed at, if any do.
 
-    None where gaps do not say all of a schedule, states are many or grow, the aim is 0, or nothing is found.
+    Gaps, psd Z (N, n, n) at them in the scaled basis, linear between them, and V at the ends of equal parts. None
+    where gaps do not say all of a schedule, states are many or grow, the aim is 0, or nothing is found.
     """
     grid = _grid(problem)
     if grid is None or problem.plant.n_states > _MOST_STATES or growth_rate(problem) > 0 or not sigma > 0:
@@ -165,9 +157,7 @@ def relax_gaps(problem: DesignProblem, sigma: float, seconds: float | None = Non
     Z, V = program.taken_from(np.nan_to_num(found.x))
     if not float(np.trace(Z, axis1=1, axis2=2).sum()) > 0:
         return None
-    return GapMultipliers(
-        np.asarray(program.nodes * grid.width, dtype=np.float64), Z + _LEAST_SHARE * Z.mean(axis=0), V
-    )
+    return np.asarray(program.nodes * grid.width, dtype=np.float64), Z + _LEAST_SHARE * Z.mean(axis=0), V
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,16 +253,16 @@ def _least_observable(problem: DesignProblem) -> Array:
     return np.outer(z, z)
 
 
-def gap_bound(problem: DesignProblem, found: GapMultipliers, traces: Array) -> float:
+def gap_bound(problem: DesignProblem, gaps: Array, Z: Array, potential: Array, traces: Array) -> float:
     """Bound sigma of every schedule by multipliers whose `traces` (N,) in the plant's coordinates are those."""
-    posed, size = _grid(problem), found.potential.size
+    posed, size = _grid(problem), potential.size
     parts = 0 if posed is None else size // (problem.samples * posed.periods)
-    known = 0 < parts <= _MOST_PARTS and found.gaps.size > 1  # a file's own grid may be too fine to be judged
+    known = 0 < parts <= _MOST_PARTS and gaps.size > 1  # a file's own grid may be too fine to be judged
     if not known or np.any(traces <= problem.rows.rounding):
         return np.inf
     coarse = _Grid(problem, parts)
-    nodes = np.rint(found.gaps / coarse.width)
-    on = np.all(np.abs(found.gaps / coarse.width - nodes) <= 1e-9 * size) and np.all(np.diff(nodes) > 0)
+    nodes = np.rint(gaps / coarse.width)
+    on = np.all(np.abs(gaps / coarse.width - nodes) <= 1e-9 * size) and np.all(np.diff(nodes) > 0)
     low, high = coarse.ends
     if not on or size != coarse.count or not 0 <= nodes[0] <= low or not high <= nodes[-1] <= size:
         return np.inf
@@ -280,9 +270,9 @@ def gap_bound(problem: DesignProblem, found: GapMultipliers, traces: Array) -> f
     grid = _Grid(problem, parts * times)
     at = np.arange(max(grid.ends[0], int(nodes[0]) * times), min(grid.ends[1], int(nodes[-1]) * times) + 1)
     weights = _between(nodes.astype(np.intp) * times, at)
-    V = np.interp(np.arange(grid.count + 1), np.arange(size + 1) * times, [0.0, *found.potential[:-1], 0.0])
+    V = np.interp(np.arange(grid.count + 1), np.arange(size + 1) * times, [0.0, *potential[:-1], 0.0])
     with np.errstate(over="ignore", invalid="ignore"):
-        values, rest = _forms(grid, weights, found.Z)
+        values, rest = _forms(grid, weights, Z)
         top = _most(grid, at, values, rest, V)
         added = problem.rows.rounding * (grid.free + 2 * grid.periods) * (values.max() + 4 * np.abs(V).max())
         return rooted(problem, float(np.max((top + added) / (weights @ (traces - problem.rows.rounding)))))

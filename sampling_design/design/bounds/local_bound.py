@@ -15,7 +15,7 @@ box of a plant that grows, the rest is bounded by its extremes instead: what rem
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -41,23 +41,13 @@ _NORMS_SAY_LITTLE = 30.0  # times what is seen: where the norms of states are mo
 _MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
 
 
-@dataclass(frozen=True, eq=False)
-class LocalRelaxation:
-    """Windows that matter, roots of their multipliers in the scaled basis, those of the spacing, and where to cut."""
-
-    windows: Index
-    roots: Array
-    nu: Array
-    index: int
-    width: float
-
-
 def relax_local(
     problem: DesignProblem, zones: Array, sigma: float, seconds: float | None = None
-) -> LocalRelaxation | None:
+) -> tuple[Index, Array, Array, int] | None:
     """Multipliers of the program linearised about the middle of the box, for a sigma near which the bound shall be.
 
-    None where no window of it sees as little as that, the aim is 0, or the solver finds nothing.
+    Windows that matter, roots of their multipliers in the scaled basis, those of the spacing, and where to cut. None
+    where no window of it sees as little as that, the aim is 0, or the solver finds nothing.
     """
     sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
     every = tied_windows(problem, zones)
@@ -105,9 +95,9 @@ def relax_local(
         tried = [roots, *(each for each in unobserved if each is not None)]
         roots = min(tried, key=lambda each: local_bound(problem, zones, windows, each, nu))
     expanded = _expansion(problem, zones, windows, roots)
-    H = np.zeros((len(half), len(half))) if expanded is None else expanded.hessian * half[:, None] * half
+    H = np.zeros((len(half), len(half))) if expanded is None else expanded[2] * half[:, None] * half
     index = int(np.argmax(np.abs(H).sum(axis=1) + _WIDER * max(float(np.abs(H).max()), 1e-9) * half / half.max()))
-    return LocalRelaxation(windows, roots, nu, index, float(2 * half[index]))
+    return windows, roots, nu, index
 
 
 def _without_last_sample(problem: DesignProblem, roots: Array, move: Array) -> Array | None:
@@ -174,29 +164,8 @@ def _balanced(grams: Array, own: Array) -> tuple[Array, Array]:
     return scale @ turned[..., -kept:], shares[:, -1]
 
 
-@dataclass(frozen=True, eq=False)
-class LogExpansion:
-    """log sigma^2 <= constant + slope'd + d'Hd/2 + remainder for moves d of the box."""
-
-    constant: float
-    slope: Array
-    hessian: Array
-    remainder: float
-
-
-@dataclass(frozen=True, eq=False)
-class _GramForms:
-    """<V, G> per term without growth: value, two derivatives, and bounds of derivatives 0 to 3 over the box.
-
-    A window's own state is worth `value` at least, what is measured `value` at most: rounding is on the safe side, as
-    is `rest`, what it may take from the derivatives.
-    """
-
-    value: Array
-    change: Array
-    bend: Array
-    most: Array
-    rest: Array
+LogExpansion: TypeAlias = tuple[float, Array, Array, float]
+"""(constant, slope, H, remainder): log sigma^2 <= constant + slope'd + d'Hd/2 + remainder for moves d of the box."""
 
 
 def _rounding(A: Array, C: Array, E: Array, roots: Array, value: Array, lag: Array) -> Array:
@@ -206,7 +175,12 @@ def _rounding(A: Array, C: Array, E: Array, roots: Array, value: Array, lag: Arr
     return np.asarray((2 * np.sqrt(value) + lost) * lost)
 
 
-def _forms(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> _GramForms:
+def _forms(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """<V, G> per term without growth: value, two derivatives, bounds of derivatives 0 to 3 over the box, rounding.
+
+    A window's own state is worth its value at least, what is measured at most: rounding is on the safe side, as is the
+    last, what it may take from the derivatives.
+    """
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)
     E = expm_batch(A, terms.lag)
@@ -233,7 +207,7 @@ def _forms(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> _Gr
     most[0] = np.minimum(most[0], value + most[1] * terms.reach)
     most = np.where((terms.reach > 0) | (np.arange(4)[:, None] == 0), most, 0.0)
     turned = float(np.linalg.norm(A, 2)) * terms.reach
-    return _GramForms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
+    return value, change, bend, most, 2 * rounded * turned * (1 + turned)
 
 
 def _observed_rows(problem: DesignProblem, terms: MeasurementTerms, moved: Index) -> Array:
@@ -255,28 +229,28 @@ def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Arra
     k, M, rate = problem.samples, len(windows), growth_rate(problem)
     half = (zones[:, 1] - zones[:, 0]) / 2
     terms = terms_of(problem, zones, windows)
-    forms = _forms(problem, terms, roots)
+    value, change, bend, most, rounded = _forms(problem, terms, roots)
     states = terms.states(M)
-    K, K_lag = forms.value[states], terms.lag[states]
+    K, K_lag = value[states], terms.lag[states]
     with np.errstate(divide="ignore"):
-        size = np.where(terms.own, -np.inf, np.log(forms.value) + 2 * rate * terms.lag)
+        size = np.where(terms.own, -np.inf, np.log(value) + 2 * rate * terms.lag)
     leading = np.array([_largest(size, terms.window == m) for m in range(M)])
     lead, lead_lag = terms.first[leading], terms.lag[leading]
     other = (terms.first != lead[terms.window]) & ~terms.own
     apart = 2 * rate * (half[terms.first] + half[lead[terms.window]]) * other
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         factor = np.where(terms.own, 0.0, np.exp(2 * rate * (terms.lag - lead_lag[terms.window])))
-        Q = np.bincount(terms.window, factor * forms.value, M)
+        Q = np.bincount(terms.window, factor * value, M)
         # a window's own state weighs with its growth, relative to the others
         weight = K * np.exp(2 * rate * (K_lag - K_lag.max()))
         mu = weight / weight.sum()
         used = mu > 0
         share = np.where(terms.own, -mu[terms.window] / K[terms.window], mu[terms.window] / Q[terms.window] * factor)
         share = np.where(used[terms.window], share, 0.0)
-        powers = np.stack([forms.most[p] * terms.reach**p * apart ** (3 - p) for p in range(4)])
-        rest = np.array([1.0, 3.0, 3.0, 1.0]) @ powers * np.exp(apart) / 6 + forms.rest
-        changed = np.abs(forms.change) * terms.reach + np.abs(forms.bend) * terms.reach**2 / 2 + rest
-        Y = (changed / forms.value)[states]
+        powers = np.stack([most[p] * terms.reach**p * apart ** (3 - p) for p in range(4)])
+        rest = np.array([1.0, 3.0, 3.0, 1.0]) @ powers * np.exp(apart) / 6 + rounded
+        changed = np.abs(change) * terms.reach + np.abs(bend) * terms.reach**2 / 2 + rest
+        Y = (changed / value)[states]
         constant = mu[used] @ (np.log(Q) - np.log(K) + 2 * rate * (lead_lag - K_lag))[used]
         remainder = float(np.sum(np.abs(share) * np.where(terms.own & (terms.reach == 0), 0.0, rest)))
     if not (np.all(np.isfinite(mu)) and np.isfinite(constant) and np.isfinite(remainder)) or np.any(
@@ -290,11 +264,11 @@ def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Arra
     i, a, b = terms.first, terms.second, lead[terms.window]
     lagged = np.eye(k)[i] - np.eye(k)[a]
     grown = 2 * rate * (np.eye(k)[i] - np.eye(k)[b]) * ~terms.own[:, None]
-    slope += (share * forms.change) @ lagged + (share * forms.value) @ grown
-    hessian += np.einsum("s,si,sj->ij", share * forms.bend, lagged, lagged)
-    crossed = np.einsum("s,si,sj->ij", share * forms.change, lagged, grown)
-    hessian += crossed + crossed.T + np.einsum("s,si,sj->ij", share * forms.value, grown, grown)
-    return LogExpansion(float(constant), slope, hessian, remainder)
+    slope += (share * change) @ lagged + (share * value) @ grown
+    hessian += np.einsum("s,si,sj->ij", share * bend, lagged, lagged)
+    crossed = np.einsum("s,si,sj->ij", share * change, lagged, grown)
+    hessian += crossed + crossed.T + np.einsum("s,si,sj->ij", share * value, grown, grown)
+    return float(constant), slope, hessian, remainder
 
 
 def _extremes(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> tuple[Array, Array]:
@@ -350,7 +324,7 @@ def _wide_expansion(problem: DesignProblem, zones: Array, windows: Index, roots:
     slope = np.zeros(k)
     np.add.at(slope, terms.first[leading], 2 * rate * mu)
     np.add.at(slope, windows[:, 0], -2 * rate * mu)
-    return LogExpansion(constant, slope, np.zeros((k, k)), 0.0)
+    return constant, slope, np.zeros((k, k)), 0.0
 
 
 def _largest(size: Array, within: Mask) -> int:
@@ -378,11 +352,12 @@ def _value(problem: DesignProblem, zones: Array, found: LogExpansion | None, nu:
     """The most that an expansion says sigma can be in the box."""
     if found is None:
         return np.inf
+    constant, slope, hessian, remainder = found
     half = (zones[:, 1] - zones[:, 0]) / 2
     D, room = _spacing(problem, zones)
-    H = found.hessian * half[:, None] * half
+    H = hessian * half[:, None] * half
     crossed = np.abs(H - np.diag(np.diagonal(H))).sum() + np.maximum(np.diagonal(H), 0.0).sum()
     widest = max(float(np.linalg.eigvalsh((H + H.T) / 2)[-1]), 0.0) * int(np.sum(half > 0))
-    linear = float(np.abs(found.slope - D.T @ nu) @ half + nu @ room)
+    linear = float(np.abs(slope - D.T @ nu) @ half + nu @ room)
     with np.errstate(over="ignore"):
-        return rooted(problem, float(np.exp(found.constant + linear + min(crossed, widest) / 2 + found.remainder)))
+        return rooted(problem, float(np.exp(constant + linear + min(crossed, widest) / 2 + remainder)))

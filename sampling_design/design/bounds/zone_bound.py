@@ -51,19 +51,12 @@ _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
 _MATTERS = 1e-3  # share of all multipliers below which a window has no say
 
 
-@dataclass(frozen=True, eq=False)
-class ZoneRelaxation:
-    """Weights on points of the zones, which sample's zone gains most from a cut, where, and how wide it is."""
+def relax_zones(
+    problem: DesignProblem, zones: Array, hints: Array, budget: Budget = ENDLESS
+) -> tuple[Relaxation, tuple[int, float, float]]:
+    """Weights on points of the zones; which sample's zone gains most from a cut, where, and how wide it is.
 
-    found: Relaxation
-    index: int
-    cut: float
-    width: float
-
-
-def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budget = ENDLESS) -> ZoneRelaxation:
-    """Weights on points of the zones; `hints` are window starts that mattered for a wider box.
-
+    `hints` are window starts that mattered for a wider box.
     Cut short at `budget`; multipliers of any quality prove a bound.
     """
     starts = _window_starts(problem, zones, hints)
@@ -89,7 +82,7 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budg
         if not worst.size or (hints.size and done >= _ROUNDS and sigma2[worst[0]] > found.value * (1 - _MISSED)):
             break
         posed[worst] = True
-    return ZoneRelaxation(found, *_most_divided(problem, zones, found, points.of(used)))
+    return found, _most_divided(problem, zones, found, points.of(used))
 
 
 def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:

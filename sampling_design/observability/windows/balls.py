@@ -93,15 +93,15 @@ def prove_window_sigma(
     exact = exact_times(schedule, pieces)
 
     def begin(clock: Budget) -> Callable[[float], bool]:
-        flow, rows, starts = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant), []
+        rows, starts = BallRows(plant), []
         for g in range(len(pieces)):
             left, right = piece_ends(schedule, pieces, g)
             span = slice(int(pieces.first[g]), int(pieces.stop[g]))
-            starts.append((rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), rational(right - left)))
+            starts.append((rows.gramian(exact[span], left, pieces.measured(g)).inv(), rational(right - left)))
 
         def proves(mu: float) -> bool:
             limit = (1 / ball(mu) ** 2).lower()
-            return all(highest(flow, Y, length, clock, limit=limit) is not None for Y, length in starts)
+            return all(highest(rows.flow, Y, length, clock, limit=limit) is not None for Y, length in starts)
 
         return proves
 
@@ -133,14 +133,14 @@ def _observed(
     plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, exact: list[Fraction], clock: Budget
 ) -> WindowWitness:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
-    flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)
+    rows = BallRows(plant)
     at, best = (0, float(pieces.left[0])), pieces.witness(0, float(pieces.left[0]), np.zeros(plant.n_states), np.inf)
 
     def look(g: int, left: Fraction, right: Fraction) -> None:
         nonlocal at, best
         span = slice(int(pieces.first[g]), int(pieces.stop[g]))
-        Y, step = rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
-        E = flow.over(rational(step))[0]
+        Y, step = rows.gramian(exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
+        E = rows.flow.over(rational(step))[0]
         for k in range(PLACES):
             values, vectors = np.linalg.eigh(symmetrise(floats(Y)))
             sigma = float(1 / np.sqrt(values[-1])) if values[-1] > 0 else 0.0
@@ -201,10 +201,10 @@ def piece_ends(schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, g: i
 
 
 class BallRows:
-    """C'C of each set of outputs, in balls."""
+    """Flow and outputs of a plant, in balls."""
 
     def __init__(self, plant: Plant) -> None:
-        self.C = plant.C
+        self.C, self.flow = plant.C, BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A)))
         self._kept: dict[bytes, Matrix] = {}
 
     def of(self, measured: Mask) -> Matrix:
@@ -215,12 +215,12 @@ class BallRows:
             self._kept[key] = C.transpose() * C
         return self._kept[key]
 
-    def gramian(self, flow: BallFlow, times: list[Fraction], start: Fraction, mask: Mask | None) -> Matrix:
+    def gramian(self, times: list[Fraction], start: Fraction, mask: Mask | None) -> Matrix:
         """Sum of e^{A'(tau - start)} C'C e^{A (tau - start)}, from the last sample back to the first."""
         n = self.C.shape[1]
         G, whole = matrix(np.zeros((n, n))), np.ones(self.C.shape[0], dtype=bool)
         for k in range(len(times) - 1, -1, -1):
             G = G + self.of(whole if mask is None else mask[k])
-            E = flow.over(rational(times[k] - (times[k - 1] if k else start)))[0]
+            E = self.flow.over(rational(times[k] - (times[k - 1] if k else start)))[0]
             G = E.transpose() * G * E
         return G

@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -66,17 +66,9 @@ class BallCells(NamedTuple):
         return half
 
 
-class BallGroup(NamedTuple):
-    """Outputs that are read at one time: rows C to C A^4, and how long after the planned time, exactly."""
-
-    rows: Matrix  # (5 p, n)
-    lag: Fraction
-    radius: Fraction
-
-    def moves(self, cells: int, slack: Fraction) -> int:
-        """Cells of the moves that go with a grid: two at first, none finer than the grid's; none where none moves."""
-        finest = 2 * self.radius * cells / slack if slack else cells
-        return min(cells // FIRST_MOVES, math.ceil(finest))
+BallGroup: TypeAlias = tuple[Matrix, Fraction, Fraction]
+"""Outputs that are read at one time: rows C to C A^4 (5 p, n), how long after the planned time, and how far from that,
+exactly."""
 
 
 class BallTable(NamedTuple):
@@ -124,7 +116,12 @@ class WorstCase:
             rows.append(rows[-1] * self.flow.A)
         early, after = (Fraction(side[output if late.apart else 0]) for side in (late.early, late.late))
         lag = max(map(Fraction, late.early)) + (after - early) / 2
-        return BallGroup(flint().arb_mat([row for part in rows for row in part.tolist()]), lag, (early + after) / 2)
+        return flint().arb_mat([row for part in rows for row in part.tolist()]), lag, (early + after) / 2
+
+    def moves(self, cells: int, radius: Fraction) -> int:
+        """Cells of the moves that go with a grid: two at first, none finer than the grid's; none where none moves."""
+        finest = 2 * radius * cells / self.slack if self.slack else cells
+        return min(cells // FIRST_MOVES, math.ceil(finest))
 
     def tables(self, cells: int) -> list[BallTable]:
         """The tables of a grid of `cells` cells, one of each group."""
@@ -133,13 +130,14 @@ class WorstCase:
         return self._tables[cells]
 
     def _made(self, cells: int, group: BallGroup) -> BallTable:
-        step, parts = self.slack / cells, group.moves(cells, self.slack)
-        E, across = self.flow.over(rational(step))[0], 2 * group.radius / max(parts, 1)
-        y = np.empty((self.k, cells + 1, parts + 1, 5, group.rows.nrows() // 5, self.n))
+        rows, lag, radius = group
+        step, parts = self.slack / cells, self.moves(cells, radius)
+        E, across = self.flow.over(rational(step))[0], 2 * radius / max(parts, 1)
+        y = np.empty((self.k, cells + 1, parts + 1, 5, rows.nrows() // 5, self.n))
         for i, m in np.ndindex(self.k, parts + 1):
             self.clock.check()
-            begun = self.offsets[i] + group.lag - group.radius + m * across
-            at = group.rows * self.flow.over(rational(begun))[0]
+            begun = self.offsets[i] + lag - radius + m * across
+            at = rows * self.flow.over(rational(begun))[0]
             for j in range(cells + 1):
                 y[i, j, m] = np.array([float(x) for x in at.entries()]).reshape(y.shape[3:])
                 at = at * E
@@ -204,7 +202,7 @@ class WorstCase:
     def only(self, mu: float) -> bool:
         """The same where one schedule alone is admissible."""
         total = matrix(np.zeros((self.n, self.n)))
-        first = flint().arb_mat(self.groups[0].rows.tolist()[: self.p])
+        first = flint().arb_mat(self.groups[0][0].tolist()[: self.p])
         for offset in self.offsets:
             at = first * self.flow.over(rational(offset))[0]
             total = total + at.transpose() * at
@@ -213,7 +211,7 @@ class WorstCase:
     def proves(self, sigma: float) -> bool:
         """Whether z'Gz >= sigma^2 |Lz|^2 is proven for all directions and schedules."""
         mu = float(np.nextafter(sigma * sigma, np.inf))
-        if self.slack == 0 and not any(group.radius for group in self.groups):
+        if self.slack == 0 and not any(radius for *_, radius in self.groups):
             return self.only(mu)
         n = self.n
         pending = BallCells(np.eye(n), np.zeros((n, n), dtype=int), np.arange(n), np.full(n, FIRST_GRID))
@@ -222,7 +220,7 @@ class WorstCase:
                 raise BudgetSpentError("too many cells are open")
             grid = int(pending.grid.min())
             same = np.flatnonzero(pending.grid == grid)
-            read = sum(group.moves(grid, self.slack) + 1 for group in self.groups)
+            read = sum(self.moves(grid, radius) + 1 for *_, radius in self.groups)
             same = same[: max(1, BATCH // (self.k * (grid + 1) * read * self.signs.shape[1]))]
             rest = np.ones(pending.face.size, dtype=bool)
             rest[same] = False

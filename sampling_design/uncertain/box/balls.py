@@ -7,7 +7,7 @@ Floats choose metrics |x|_W^2 = x'Wx and guess numbers; balls prove of each that
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,12 +30,8 @@ class BallCell(NamedTuple):
     parts_C: list[Matrix]
 
 
-class CellMetric(NamedTuple):
-    """Norms that are proven of every plant of a cell in the metric W of its states, and |unit x| <= whole |x|."""
-
-    W: Matrix
-    norms: CellNorms[Ball]
-    whole: Ball
+CellMetric: TypeAlias = tuple[Matrix, CellNorms[Ball], Ball]
+"""A metric W of the states, norms that are proven in it of every plant of a cell, and `whole`: |unit x| <= whole |x|."""
 
 
 class BallBox:
@@ -97,7 +93,7 @@ class BallBox:
         m, zero = self.m, flint().arb(0)
         moved, output_moved = sum(norms[1 : m + 1], zero), sum(norms[m + 2 : 2 * m + 2], zero)
         found = CellNorms(rate, norms[0], moved.upper(), norms[m + 1], output_moved.upper(), BALLS)
-        return CellMetric(W, found, norms[-1])
+        return W, found, norms[-1]
 
 
 def largest_over(form: Matrix, W: Matrix, size: float = 0.0) -> Ball | None:

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from scipy import linalg
@@ -35,20 +35,14 @@ from sampling_design.uncertain.box.model import BoxModel
 Number = TypeVar("Number", Ball, Array)
 
 
-class BoundArithmetic(NamedTuple, Generic[Number]):
-    """What bounds need beside sums and products; none of it smaller than it is."""
-
-    exp: Callable[[Number], Number]
-    beyond_first: Callable[[Number], Number]
-    """e^x - 1 - x for x >= 0."""
-
-
 def _beyond_first(x: Array) -> Array:
     return np.where(x < 1e-3, 0.5 * x * x * (1 + 0.34 * x), np.expm1(x) - x + 1e-15 * x)
 
 
-FLOATS: BoundArithmetic[Array] = BoundArithmetic(np.exp, _beyond_first)
-BALLS: BoundArithmetic[Ball] = BoundArithmetic(lambda x: x.exp(), lambda x: x.expm1() - x)
+Arithmetic: TypeAlias = tuple[Callable[[Number], Number], Callable[[Number], Number]]
+"""e^x, and e^x - 1 - x for x >= 0: what bounds need beside sums and products, none of it smaller than it is."""
+FLOATS: Arithmetic[Array] = (np.exp, _beyond_first)
+BALLS: Arithmetic[Ball] = (lambda x: x.exp(), lambda x: x.expm1() - x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +54,13 @@ class CellNorms(Generic[Number]):
     moved: Number  # |(A(theta) - A) x| <= moved |x|
     output_size: Number  # c: |C x| <= c |x|, outputs in the plain norm
     output_moved: Number  # f: |(C(theta) - C) x| <= f |x|
-    arithmetic: BoundArithmetic[Number]
+    arithmetic: Arithmetic[Number]
 
     def rows(self, r: Number, rate: Number) -> tuple[Number, Number]:
         """First order, and what is beyond it, of a sample r >= 0 after the window's start."""
-        along, grown = self.moved * r, self.arithmetic.exp(rate * r)
-        beyond = self.arithmetic.beyond_first(along)
+        exp, beyond_first = self.arithmetic
+        along, grown = self.moved * r, exp(rate * r)
+        beyond = beyond_first(along)
         c, f = self.output_size, self.output_moved
         return grown * (c * along + f), grown * (c * beyond + f * (along + beyond))
 
@@ -75,12 +70,13 @@ class CellNorms(Generic[Number]):
         `other` bounds C(theta) e^{A(theta) r} - C e^{A r}; |e^{A(theta) e} - I| <= e^{(size + moved) |e|} - 1, and the
         terms of its series differ from the centre's by those of e^{(size + moved) |e|} - e^{size |e|} at most.
         """
-        whole, own = (self.arithmetic.exp(x * late) for x in (self.size + self.moved, self.size))
-        return self.output_size * self.arithmetic.exp(rate * r) * (whole - own) + other * (whole - 1)
+        exp, _ = self.arithmetic
+        whole, own = (exp(x * late) for x in (self.size + self.moved, self.size))
+        return self.output_size * exp(rate * r) * (whole - own) + other * (whole - 1)
 
     def turned(self, h: Number) -> Number:
         """What |e^{A(theta) s} - I - A s| stays below for |s| <= h."""
-        return self.moved * h + self.arithmetic.beyond_first((self.size + self.moved) * h)
+        return self.moved * h + self.arithmetic[1]((self.size + self.moved) * h)
 
 
 WORST_BASIS = 1e5

@@ -149,21 +149,18 @@ class InclusionPlants:
 
     def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[InclusionData, Array]:
         """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""
-        layout, b = self.layout(pieces), self.longest
+        layout, b = layout_of(self.graph, pieces), self.longest
         T = self.coordinates(eta) if T is None else T
         inverse = np.linalg.inv(T)
         root_w = np.linalg.cholesky(self.weights.Qw)
         patterns, pattern = np.unique(layout.measured, axis=0, return_inverse=True)
         n = self.centre.n_states
-        M = self.members.dynamics
-        A = b * (T.T @ M[:, :, :n] @ inverse.T)
-        G = np.sqrt(b) * (T.T @ M[:, :, n:] @ np.linalg.inv(root_w).T)
         outputs = np.array([self.shares(measured) @ self.members.outputs @ inverse.T for measured in patterns])
         unit = inverse @ np.diag(1 / self.centre.states.scales**2) @ inverse.T
         size = float(np.linalg.norm(unit, 2))
         if not 1 / FAR <= size <= FAR:  # then p of P >= p unit is none that the solver tells from 0 or bounds
             unit /= max(size, np.finfo(float).tiny)
-        q = G.shape[2]
+        q = len(root_w)
         columns = multiplied = np.zeros((0, 0))
         if self.columns is not None:
             to_w = np.linalg.inv(root_w).T / np.sqrt(b)  # of inner disturbances in physical ones
@@ -172,7 +169,7 @@ class InclusionPlants:
             self.sizes = np.linalg.norm(multiplied, axis=1)
             columns, multiplied = b * (T.T @ self.columns.add) * self.sizes, multiplied / self.sizes[:, None]
         posed = InclusionData(
-            dynamics=np.concatenate([A, G], axis=2), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
+            dynamics=self.moved(self.members.dynamics, T), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
             nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),
             columns=columns, multiplied=multiplied,
         )  # fmt: skip
@@ -190,10 +187,6 @@ class InclusionPlants:
     def family(self) -> SamplingFamily:
         """The family; a periodic schedule is one of deviations 0."""
         return family_of(self.schedules)
-
-    def layout(self, pieces: int) -> WordLayout:
-        """Nodes and jumps with so many pieces."""
-        return layout_of(self.graph, pieces)
 
     def shares(self, measured: Mask) -> Array:
         """S with S'S the information of the outputs that are measured: (V restricted to them)^-1, V = R^-1 + Qv^-1."""
@@ -264,10 +257,10 @@ class InclusionPlants:
         self.hull = None
 
     def moved(self, moves: Array, T: Array) -> Array:
-        """Changes of (A, G) (..., n, n + q) in inner coordinates."""
+        """(A, G) (..., n, n + q), or changes of them, in inner coordinates."""
         n, b = self.centre.n_states, self.longest
-        A = b * T.T @ moves[..., :n] @ np.linalg.inv(T).T
-        G = np.sqrt(b) * T.T @ moves[..., n:] @ np.linalg.inv(np.linalg.cholesky(self.weights.Qw)).T
+        A = b * (T.T @ moves[..., :n] @ np.linalg.inv(T).T)
+        G = np.sqrt(b) * (T.T @ moves[..., n:] @ np.linalg.inv(np.linalg.cholesky(self.weights.Qw)).T)
         return np.asarray(np.concatenate([A, G], axis=-1))
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -174,18 +174,9 @@ def norms_of(hull: MemberHull, S: Array) -> InclusionNorms:
     return InclusionNorms(S, lipschitz, max(float(np.max(tops)) + (SAFE - 1) * lipschitz, 0.0))
 
 
-class WindowBound(NamedTuple):
-    """Condition (4) from a certificate: |Dy|_R~ <= c|Dx|_W, |G w|_W <= g|w|_Qw, W <= beta P1, P2 <= gamma W.
-
-    `q` < 1 is what the inequality returns of |Dx(t)|^2_W over a window of length T.
-    """
-
-    c: float
-    g: float
-    beta: float
-    gamma: float
-    T: float
-    q: float
+WindowBound: TypeAlias = tuple[float, float, float, float, float, float]
+"""Condition (4) from a certificate, (c, g, beta, gamma, T, q): |Dy|_R~ <= c|Dx|_W, |G w|_W <= g|w|_Qw, W <= beta P1,
+P2 <= gamma W; q < 1 is what the inequality returns of |Dx(t)|^2_W over a window of length T."""
 
 
 def shortest_window(found: InclusionCertificate, norms: InclusionNorms) -> float:
@@ -212,7 +203,7 @@ def window_bound(
         return None
     T = float(np.log(4 * beta * gamma)) / excess if window is None else window
     q = 2 * beta * gamma * float(np.exp(-excess * T)) * SAFE
-    return WindowBound(c, g, beta, gamma, T, q) if q < 1 else None
+    return (c, g, beta, gamma, T, q) if q < 1 else None
 
 
 def theorem_5(

@@ -27,7 +27,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.uncertain.inclusion.members import INFLATED, InclusionPlants
+from sampling_design.uncertain.inclusion.members import INFLATED, InclusionPlants, layout_of
 from sampling_design.uncertain.inclusion.program import (
     SMALLEST,
     InclusionData,
@@ -255,7 +255,7 @@ class InclusionSearch(InclusionPlants):
         self, found: InclusionSolution, eta: float, pieces: int, digits: int, seconds: float
     ) -> InclusionCertificate:
         """The certificate in physical coordinates and short decimals."""
-        nodes = self.layout(pieces).nodes
+        nodes = layout_of(self.graph, pieces).nodes
         P = rounded(found.T @ found.P @ found.T.T, digits)
         shape, (low, high) = found.T @ found.T.T, found.ends
         P1, P2 = rounded((1 - ROOM) * low * shape, digits + 1), rounded((1 + ROOM) * high * shape, digits + 1)

@@ -172,16 +172,16 @@ class WindowCells:
         moved = [self.box.unit * (eye + cell.A * h * sign) for sign in ((1, -1) if h > 0 else (1,))]
         starts = [X.transpose() * X for X in moved]
         found = [
-            (float(_approximate_loss(floats(G), floats(metric.W), rest)), metric, rest)
-            for metric in self.box.metrics(cell, max([float(r) for r in after], default=0.0))
-            for rest in [_rest(metric.norms, after)]
+            (float(_approximate_loss(floats(G), floats(W), rest)), W, norms, whole, rest)
+            for W, norms, whole in self.box.metrics(cell, max([float(r) for r in after], default=0.0))
+            for rest in [_rest(norms, after)]
         ]
         if not found:
             return False
-        _, metric, rest = min(found, key=lambda each: each[0])
-        beyond = (metric.whole * metric.norms.turned(h)).upper()
+        _, W, norms, whole, rest = min(found, key=lambda each: each[0])
+        beyond = (whole * norms.turned(h)).upper()
         corners = [sum((S * sign for S, sign in zip(slopes, signs, strict=True)), G) for signs in self.signs]
-        return _hold(corners, starts, (metric.W, rest, beyond), ball(mu))
+        return _hold(corners, starts, (W, rest, beyond), ball(mu))
 
     def _gram(
         self, cell: BallCell, times: list[Fraction], middle: Fraction, mask: Mask | None

@@ -187,13 +187,12 @@ def _pulse_sizes(
     box: BallBox, metric: CellMetric, off: tuple[Ball, Ball], family: SpacedWindows, late: TimingTolerance
 ) -> tuple[Ball, Ball] | None:
     """At least |sum +-O_k| and |X| over a cell, in one metric; `off`: the rounding of the plants that are judged."""
-    eye = identity(box.n)
-    rounded = largest_over(eye * (largest(metric.W) * off[0] * off[0]), metric.W)
-    output_moved = largest_over(eye * (off[1] * off[1]), metric.W)
-    there = largest_over(metric.W, box.unit.transpose() * box.unit)
+    eye, (W, norms, _) = identity(box.n), metric
+    rounded = largest_over(eye * (largest(W) * off[0] * off[0]), W)
+    output_moved = largest_over(eye * (off[1] * off[1]), W)
+    there = largest_over(W, box.unit.transpose() * box.unit)
     if rounded is None or output_moved is None or there is None:
         return None
-    norms = metric.norms
     lost = replace(norms, moved=rounded.sqrt(), output_moved=output_moved.sqrt())
     both = replace(norms, moved=norms.moved + lost.moved, output_moved=norms.output_moved + lost.output_moved)
     first, second, rate = flint().arb(0), flint().arb(0), positive_part(norms.rate)

@@ -31,7 +31,7 @@ class BallCell(NamedTuple):
 
 
 CellMetric: TypeAlias = tuple[Matrix, CellNorms[Ball], Ball]
-"""A metric W of the states, norms that are proven in it of every plant of a cell, and `whole`: |unit x| <= whole |x|."""
+"""A metric W, norms that are proven in it of every plant of a cell, and `whole`: |unit x| <= whole |x|."""
 
 
 class BallBox:

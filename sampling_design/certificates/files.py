@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, SampledCertificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.families.graphs import Edge, PathCompleteGraph
+from sampling_design.certificates.families.graphs import PathCompleteGraph
 from sampling_design.checkers import claims, detectability, family_file, schedule_file
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import BadFile, Tree
@@ -100,8 +100,7 @@ def _sampled(data: Tree, plant: Plant, found: schedule_file.Sampled) -> Certific
 
 def graph_from(words: list[list[float]], read: family_file.Graph) -> PathCompleteGraph:
     """The graph as it was read, its words as they were written: whole numbers and others."""
-    edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in read.edges]
-    return PathCompleteGraph(tuple(tuple(word) for word in words), tuple(edges))
+    return PathCompleteGraph(tuple(tuple(word) for word in words), read.edges)
 
 
 def _of_family(data: Tree, plant: Plant, found: family_file.OfFamily) -> FamilyCertificate:

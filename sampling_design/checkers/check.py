@@ -20,7 +20,7 @@ if not __package__:  # run as a file: its folder is the package
     __import__(__package__)
 
 if TYPE_CHECKING:
-    from .outcome import Proven, Verdict, WorkLimit
+    from .outcome import Verdict, WorkLimit
 
 
 def verdict(data: Mapping[str, object], work: "WorkLimit | None" = None) -> "Verdict":
@@ -35,21 +35,20 @@ def verdict(data: Mapping[str, object], work: "WorkLimit | None" = None) -> "Ver
         return Verdict(BAD_FILE, error.broken, "the data are no certificate: " * (error.broken == "form") + str(error))
 
 
-def verdict_on(content: object, prove: "Callable[..., Proven]", work: "WorkLimit | None" = None) -> "Verdict":
+def verdict_on(content: object, prove: "Callable[..., Verdict]", work: "WorkLimit | None" = None) -> "Verdict":
     """Return the `Verdict` on the judged content of a file, as its claim proves it."""
     import numpy as np
 
     from .outcome import MOST_WORK, UNDECIDED, Refused, Verdict, WorkLimit, refused
-    from .parts import proven_verdict
+    from .parts import of_whole_plant
 
     try:
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
-            found = prove(content, WorkLimit(MOST_WORK) if work is None else work)
+            return of_whole_plant(content, prove(content, WorkLimit(MOST_WORK) if work is None else work))
     except Refused as error:
         return refused(error)
     except (np.linalg.LinAlgError, OverflowError) as error:
         return Verdict(UNDECIDED, "range", f"these numbers are beyond the range of doubles ({error})")
-    return proven_verdict(content, found)
 
 
 def check(data: Mapping[str, object], work: "WorkLimit | None" = None) -> dict[str, object]:

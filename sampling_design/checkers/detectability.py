@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .numbers import EPS
-from .outcome import Proven, Refused, WorkLimit
+from .outcome import PROVEN, Refused, Verdict, WorkLimit
 from .parts import AROUND, RATES, SOLVER, Claim, Plant, symmetric
 from .strict import Array, Tree, matrix, or_nothing, positive, table, word
 
@@ -60,12 +60,12 @@ def detectability(read: Tree, plant: Plant) -> Detectability:
     return Detectability(plant, symmetric(read["P"], "P", plant.n), **rates)
 
 
-def prove(c: Detectability) -> tuple[str, float]:
-    """Prove P > 0 and the dissipation inequality; return how, and the relative slack of the latter."""
-    found = 1.0, "no states"
+def prove(c: Detectability, work: WorkLimit | None = None) -> Verdict:
+    """Prove P > 0 and the dissipation inequality; the slack is that of the latter."""
+    slack, how = 1.0, "no states"
     for name in ("P > 0", INEQUALITY) if c.plant.n else ():
-        found = in_floats(name, c) or in_rationals(name, c)
-    return found[1], found[0]
+        slack, how = in_floats(name, c) or in_rationals(name, c)
+    return Verdict(PROVEN, INEQUALITY, f"P > 0 and {INEQUALITY}, {how}", slack)
 
 
 def forms(name: str, c: Detectability, of: Callable[[Array | float], Number]) -> tuple[Numbers, Numbers]:
@@ -138,10 +138,4 @@ def failure(name: str, amount: float, direction: Array, how: str) -> Refused:
     return Refused(name, reason, amount, direction=along)
 
 
-def proven(c: Detectability, work: WorkLimit) -> Proven:
-    """The proof, and what it proves in words."""
-    how, slack = prove(c)
-    return Proven(INEQUALITY, f"P > 0 and {INEQUALITY}, {how}", slack)
-
-
-CLAIM = Claim(TABLE, detectability, proven)
+CLAIM = Claim(TABLE, detectability, prove)

@@ -12,7 +12,7 @@ from .cover import judge
 from .family_file import OF_FAMILY, OfFamily, of_family
 from .frame import Frame, largest, size, turned
 from .numbers import EPS, definite, problem, targets
-from .outcome import Proven, Refused, WorkLimit, holds
+from .outcome import Refused, Verdict, WorkLimit, holds
 from .parts import Claim
 from .strict import Array, Index
 
@@ -21,14 +21,17 @@ ROUNDS = 40  # halvings of a cell
 MOST_CELLS = 400_000  # cells of one target, all rounds together
 
 
-def prove(c: OfFamily, work: WorkLimit | None = None) -> tuple[str, float]:
-    """Prove that the graph holds the family, and every edge and node; return the slack."""
+SUBJECT = "every schedule of the family, every real window start and every later t"
+
+
+def prove(c: OfFamily, work: WorkLimit | None = None) -> Verdict:
+    """Prove that the graph holds the family, and every edge and node."""
     judge(c.family, c.graph)
     numbers, graph, w = problem(c.plant, c.weights), c.graph, c.weights
     stated = targets(numbers, w.margin, numbers.P1, w.lam)
     inequality = " and ".join(name for _, name in stated)
     if not numbers.n:
-        return inequality, 1.0
+        return holds(inequality, 1.0, SUBJECT)
     P = np.stack([numbers.P2, *(definite(f"P_{u + 1}", M, numbers.units) for u, M in enumerate(graph.P[1:]))])
     patterns = sorted({edge.outputs for edge in graph.edges})
     slack, masks = 1.0, np.array(patterns, bool).reshape(-1, len(c.plant.C))
@@ -42,7 +45,7 @@ def prove(c: OfFamily, work: WorkLimit | None = None) -> tuple[str, float]:
     for target, name in stated:
         intervals = Intervals(numbers, target, name, none, work)
         slack = min(slack, intervals.prove(P, np.zeros(len(P), int), 0 * tops, tops))
-    return inequality, slack
+    return holds(inequality, slack, SUBJECT)
 
 
 class Intervals(Frame):
@@ -95,9 +98,4 @@ class Intervals(Frame):
             raise Refused(self.inequality, reason, amount, float(h[k]))
 
 
-def proven(c: OfFamily, work: WorkLimit) -> Proven:
-    """The proof, and what it proves in words."""
-    return holds(*prove(c, work), "every schedule of the family, every real window start and every later t")
-
-
-CLAIM = Claim(OF_FAMILY, of_family, proven)
+CLAIM = Claim(OF_FAMILY, of_family, prove)

@@ -31,7 +31,7 @@ from .cover import judge
 from .inclusion_file import INCLUSION, Inclusion, inclusion, moved
 from .members import JUMP, Members, bounds, joint, least, prove_jumps, together
 from .numbers import EPS, RESOLUTION, SAFE
-from .outcome import MOST_WORK, Proven, Refused, Undecided, WorkLimit, holds
+from .outcome import MOST_WORK, Refused, Undecided, Verdict, WorkLimit, holds
 from .parts import Claim
 from .regions import Cells, Parts
 from .strict import Array, Mask
@@ -109,13 +109,13 @@ SUBJECT = "every plant of the model, every schedule of the family and every real
 TURNS = 20  # of the search for a corner where multipliers fail
 
 
-def prove(c: Inclusion, work: WorkLimit | None = None) -> tuple[str, float]:
-    """Prove all inequalities; return what was proven and the least relative slack."""
+def prove(c: Inclusion, work: WorkLimit | None = None) -> Verdict:
+    """Prove all inequalities."""
     name = f"{FLOW}, {JUMP}"
     work = WorkLimit(MOST_WORK) if work is None else work
     judge(c.family, c.graph)
     if not c.plant.n:
-        return name, 1.0
+        return holds(name, 1.0, SUBJECT)
     w, P = c.weights, (c.P + np.swapaxes(c.P, 1, 2)) / 2
     P1, P2, Qw, R, Qv = ((M + M.T) / 2 for M in (w.P1, w.P2, w.Qw, w.R, w.Qv))
     plain(P, *(c.plant.A, c.plant.C, c.plant.G), *(P1, P2, Qw, R, Qv))
@@ -128,7 +128,8 @@ def prove(c: Inclusion, work: WorkLimit | None = None) -> tuple[str, float]:
     share = (1 - RESOLUTION) * P2
     slack = min(slack, least("(1 - 1e-3) P2 < lam P1", (top - share)[None], (np.abs(top) + np.abs(share))[None]))
     Rt = together(R, Qv)
-    return name, min(slack, prove_jumps(c, P, Rt, work), flows(c, P, Qw, work))
+    slack = min(slack, prove_jumps(c, P, Rt, work), flows(c, P, Qw, work))
+    return holds(name, slack, SUBJECT)
 
 
 def plain(*matrices: Array) -> None:
@@ -284,9 +285,4 @@ def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw
         at_corners(replace(found, points=point[None]), flow)
 
 
-def proven(c: Inclusion, work: WorkLimit) -> Proven:
-    """The proof, and what it proves in words."""
-    return holds(*prove(c, work), SUBJECT)
-
-
-CLAIM = Claim(INCLUSION, inclusion, proven)
+CLAIM = Claim(INCLUSION, inclusion, prove)

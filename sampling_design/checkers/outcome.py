@@ -62,20 +62,6 @@ class Undecided(Refused):
 
 
 @dataclass(frozen=True)
-class Proven:
-    """An inequality that holds, one sentence, and its relative slack."""
-
-    inequality: str
-    reason: str
-    slack: float
-
-
-def holds(inequality: str, slack: float, subject: str) -> Proven:
-    """Say that an inequality holds for its subject."""
-    return Proven(inequality, f"{inequality} for {subject}, slack {slack:.3g}", slack)
-
-
-@dataclass(frozen=True)
 class Verdict:
     """The verdict on one file.
 
@@ -109,6 +95,11 @@ class Verdict:
     def to_dict(self) -> dict[str, object]:
         """Plain data."""
         return {"passed": self.passed, **asdict(self)}
+
+
+def holds(inequality: str, slack: float, subject: str) -> Verdict:
+    """The verdict that an inequality is proven for its subject."""
+    return Verdict(PROVEN, inequality, f"{inequality} for {subject}, slack {slack:.3g}", slack)
 
 
 def refused(error: Refused) -> Verdict:

@@ -6,11 +6,11 @@ Sizes come from the plant: n states, p outputs, q disturbances.
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .outcome import PROVEN, Proven, Verdict
+from .outcome import Verdict
 from .strict import (
     Array,
     Reader,
@@ -119,20 +119,22 @@ class Weights:
 class Claim:
     """What a file of a claim holds, no more and no less; its judged content; and what proves it.
 
-    `table` reads the file, `record(read, plant)` makes the record of what was read, and `prove(record, work)` raises
-    `Refused` or `Undecided` where there is no proof.
+    `table` reads the file, `record(read, plant)` makes the record of what was read, and `prove(record, work)` says how
+    it is proven, or raises `Refused` or `Undecided` where there is no proof.
     """
 
     table: Reader
     record: Callable[..., object]
-    prove: Callable[..., Proven]
+    prove: Callable[..., Verdict]
 
 
-def proven_verdict(content: object, found: Proven) -> Verdict:
+def of_whole_plant(content: object, proven: Verdict) -> Verdict:
     """The verdict on content that is proven; of a part it says how nearly that is one of the whole plant."""
-    part = bool(getattr(getattr(content, "plant", None), "part", False))
-    whole = f"; of the whole plant to {CARRIED:g} of the terms that make up each entry" if part else ""
-    return Verdict(PROVEN, found.inequality, found.reason + whole, found.slack)
+    if not getattr(getattr(content, "plant", None), "part", False):
+        return proven
+    return replace(
+        proven, reason=f"{proven.reason}; of the whole plant to {CARRIED:g} of the terms that make up each entry"
+    )
 
 
 def digest(data: Mapping[str, object]) -> str:

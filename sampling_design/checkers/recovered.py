@@ -24,7 +24,7 @@ import numpy as np
 from .interval_file import INTERVAL, OfInterval, of_interval
 from .long_numbers import UNIT, doubles, long, long_flow, product
 from .numbers import EPS, safe
-from .outcome import Proven, Refused, Undecided, WorkLimit, holds
+from .outcome import Refused, Undecided, Verdict, WorkLimit, holds
 from .parts import Claim
 from .strict import Array, Mask
 
@@ -37,6 +37,7 @@ KEPT = 5  # times as many are kept of gaps that may come again
 LONG = 2  # microseconds of a product of rationals
 STEPS = 30  # microseconds of a flow in integers, over the cube of its size
 INEQUALITY = "c'x(t) <= sum lambda y + b(lambda)"
+SUBJECT = "every row and every trajectory within the bounds"
 LOOSE = 1 + 1e-9  # covers the rounding of bounds themselves, which are sums of positive terms
 HALF = 0.5
 # shares of the largest gain, as rows cost, above which that of a one-sided row may change, too; tried in turn
@@ -66,17 +67,17 @@ class Columns:
         return (self.off + EPS * np.abs(self.g)) * LOOSE
 
 
-def prove(c: OfInterval, work: WorkLimit | None = None) -> tuple[str, float]:
-    """Prove every end (or the contradiction); return the slack, relative to the width."""
+def prove(c: OfInterval, work: WorkLimit | None = None) -> Verdict:
+    """Prove every end (or the contradiction); the slack is relative to the width."""
     backward = BackwardRecursion(c, WorkLimit(math.inf) if work is None else work)
     if c.factors is not None:
-        return INEQUALITY, contradiction(c, backward)
+        return holds(INEQUALITY, contradiction(c, backward), SUBJECT)
     targets = np.array([sign * row for row in c.rows for sign in (1.0, -1.0)])
     gains = c.gains.reshape(len(targets), -1)
     stated = [end for low, high in c.ends for end in (high, None if low is None else -low)]
     chosen = [k for k, end in enumerate(stated) if end is not None]
     if not chosen:
-        return INEQUALITY, 1.0
+        return holds(INEQUALITY, 1.0, SUBJECT)
     most, least = backward.run(targets[chosen], gains[chosen]).ends()
     slack, said = 1.0, np.array([stated[k] for k in chosen], dtype=np.float64)
     for k, end, high, low in zip(chosen, said, most, least, strict=True):
@@ -89,7 +90,7 @@ def prove(c: OfInterval, work: WorkLimit | None = None) -> tuple[str, float]:
         if low > end:
             raise Refused(INEQUALITY, reason, float((end - low) / max(abs(low), abs(end))))
         raise Undecided(INEQUALITY, f"{reason}: rounding is as large as what is left")
-    return INEQUALITY, slack
+    return holds(INEQUALITY, slack, SUBJECT)
 
 
 def contradiction(c: OfInterval, backward: "BackwardRecursion") -> float:
@@ -406,9 +407,4 @@ def flows(a: Array, d: float, panels: int) -> tuple[Array, Array, Array, Array]:
     return E, wrong, mean * d, (4 * (n + TERMS) * EPS * mean_size * LOOSE + 1e-30) * d
 
 
-def proven(c: OfInterval, work: WorkLimit) -> Proven:
-    """The proof, and what it proves in words."""
-    return holds(*prove(c, work), "every row and every trajectory within the bounds")
-
-
-CLAIM = Claim(INTERVAL, of_interval, proven)
+CLAIM = Claim(INTERVAL, of_interval, prove)

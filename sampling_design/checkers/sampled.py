@@ -15,7 +15,7 @@ import numpy as np
 
 from .frame import Flows, Frame, dominating, largest, least, size, turned
 from .numbers import EPS, RESOLUTION, Problem, problem, targets
-from .outcome import Proven, Refused, Undecided, WorkLimit, holds
+from .outcome import Refused, Undecided, Verdict, WorkLimit, holds
 from .parts import Claim
 from .schedule_file import NEAR, SAMPLED, Sampled, Times, Witness, of_schedule
 from .strict import Array, Index, Mask
@@ -34,13 +34,13 @@ LOST = 1e6  # where the target is I: what comes here with more noise does not co
 INFLATION = 1e-2  # noise added per sample, where the target is I, to find the family B_i; then less and less
 
 
-def prove(c: Sampled, work: WorkLimit | None = None) -> tuple[str, float]:
-    """Prove P1 and lam over all real starts, lam_samples over sample starts, and the witness; return the slack."""
+def prove(c: Sampled, work: WorkLimit | None = None) -> Verdict:
+    """Prove P1 and lam over all real starts, lam_samples over sample starts, and the witness."""
     numbers, w = problem(c.plant, c.weights), c.weights
     stated = targets(numbers, w.margin, numbers.P1, w.lam)
     inequality = " and ".join(name for _, name in stated)
     if not numbers.n:
-        return inequality, 1.0
+        return holds(inequality, 1.0, c.schedule.windows)
     for k in (0, 1):  # a target that lies below the other is proven with it
         if len(stated) == 2 and least(stated[1 - k][0] - stated[k][0]) >= 0:
             stated.pop(k)
@@ -49,7 +49,7 @@ def prove(c: Sampled, work: WorkLimit | None = None) -> tuple[str, float]:
         name = "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts"
         Windows(numbers, c.schedule, (1 - RESOLUTION) * numbers.P2 / w.lam_samples, name, work).prove(samples=True)
     replay(c, work)
-    return inequality, slack
+    return holds(inequality, slack, c.schedule.windows)
 
 
 def replay(c: Sampled, work: WorkLimit | None = None) -> None:
@@ -305,9 +305,4 @@ class Windows(Frame):
         return float(x @ x / (x @ z)), wrong / float(x @ z)
 
 
-def proven(c: Sampled, work: WorkLimit) -> Proven:
-    """The proof, and what it proves in words."""
-    return holds(*prove(c, work), c.schedule.windows)
-
-
-CLAIM = Claim(SAMPLED, of_schedule, proven)
+CLAIM = Claim(SAMPLED, of_schedule, prove)

@@ -20,7 +20,7 @@ from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.rigorous import decide
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
-from sampling_design.checkers.outcome import Proven, Refused, holds
+from sampling_design.checkers.outcome import Refused, Verdict, holds
 from sampling_design.numerics.balls import ball, definite, matrix, symmetric
 from sampling_design.records.evidence import Claim
 
@@ -54,13 +54,13 @@ def exact(M: Any) -> Any:
     return np.array([Fraction(x) for x in np.ravel(M).tolist()], dtype=object).reshape(np.shape(M))
 
 
-def prove(c: Decay, work: Any) -> outcome.Proven:
+def prove(c: Decay, work: Any) -> Verdict:
     A, P = exact(c.plant.A), exact(c.P)
     P = (P + P.T) / 2
     for form in (P, -(A.T @ P + P @ A + Fraction(c.eta) * P)):
         if downhill(form)[0] is not None:
             raise Refused(INEQUALITY, f"{INEQUALITY} fails")
-    return outcome.Proven(INEQUALITY, f"{INEQUALITY}, in rational numbers", 0.0)
+    return Verdict(outcome.PROVEN, INEQUALITY, f"{INEQUALITY}, in rational numbers", 0.0)
 
 
 CLAIM = parts.Claim(TABLE, record, prove)
@@ -94,7 +94,7 @@ def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:
 # 4. its decision in ball arithmetic
 
 
-def in_balls(c: Decay, clock: Any) -> Proven:
+def in_balls(c: Decay, clock: Any) -> Verdict:
     A, P, eta = matrix(c.plant.A), symmetric(c.P), ball(c.eta)
     drift = A.transpose() * P
     if not definite(P) or not definite(-(drift + drift.transpose() + P * eta)):

@@ -18,23 +18,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sampling_design.checkers.family_file import Edge
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import START, SamplingFamily, Steps, Word, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-
-@dataclass(frozen=True)
-class Edge:
-    """From node `source` to node `target` in a time within [low, high]; `outputs` are measured at its end."""
-
-    source: int
-    target: int
-    low: float
-    high: float
-    outputs: tuple[bool, ...]
 
 
 @dataclass(frozen=True, eq=False)

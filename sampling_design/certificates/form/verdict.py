@@ -10,8 +10,8 @@ import numpy as np
 
 from sampling_design.checkers import verdict
 from sampling_design.checkers.check import verdict_on
-from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused, Verdict, WorkLimit
-from sampling_design.checkers.sampled import proven, replay
+from sampling_design.checkers.outcome import UNDECIDED, Refused, Verdict, WorkLimit
+from sampling_design.checkers.sampled import prove, replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.records.record import PlainRecord, YesOrNo
 
@@ -94,7 +94,7 @@ def verdict_of(data: Mapping[str, object], work: WorkLimit | None = None) -> Ver
     return verification(verdict(data, work))
 
 
-def verdict_on_content(content: object, prove: Callable[..., Proven], work: WorkLimit | None = None) -> Verification:
+def verdict_on_content(content: object, prove: Callable[..., Verdict], work: WorkLimit | None = None) -> Verification:
     """The same of what a file would hold, while it is sought, as its claim proves it."""
     return verification(verdict_on(content, prove, work))
 
@@ -106,4 +106,4 @@ def verification(found: Verdict, bits: int = 0, seconds: float = 0.0) -> Verific
 
 def verdict_on_schedule(content: Sampled, work: WorkLimit) -> Verification:
     """The same of a file on one schedule."""
-    return verdict_on_content(content, proven, work)
+    return verdict_on_content(content, prove, work)

@@ -29,7 +29,6 @@ from sampling_design.checkers.claims import certificate, claim_of
 from sampling_design.checkers.outcome import (
     BAD_FILE,
     UNDECIDED,
-    Proven,
     Refused,
     Undecided,
     Verdict,
@@ -37,7 +36,7 @@ from sampling_design.checkers.outcome import (
     holds,
     refused,
 )
-from sampling_design.checkers.parts import FORMAT, Weights, proven_verdict
+from sampling_design.checkers.parts import FORMAT, Weights, of_whole_plant
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError
@@ -231,14 +230,14 @@ def decided_on_schedule(content: Sampled, work: WorkLimit) -> Verification:
 
 
 def _verified(
-    content: object, decide: Callable[[Budget], Proven], budget: float, work: WorkLimit | None
+    content: object, decide: Callable[[Budget], Verdict], budget: float, work: WorkLimit | None
 ) -> Verification:
     """The verdict on content that `decide` finds, or is stopped with."""
     flint()
     clock = Budget(budget, work=work)
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
-            found = proven_verdict(content, decide(clock))
+            found = of_whole_plant(content, decide(clock))
     except Refused as stop:
         found = refused(stop)
     except BudgetSpentError:
@@ -249,8 +248,8 @@ def _verified(
     return verification(found, BITS, clock.spent)
 
 
-def _decided_as(claim: str, content: object, clock: Budget) -> Proven:
-    decides = CLAIMS.get(claim) or offered("verify_rigorously", claim, Proven)
+def _decided_as(claim: str, content: object, clock: Budget) -> Verdict:
+    decides = CLAIMS.get(claim) or offered("verify_rigorously", claim, Verdict)
     assert decides is not None, "a claim that the auditor reads and nobody decides"
     return decides(content, clock)
 
@@ -275,8 +274,8 @@ def targets(weights: Weights) -> list[StatedInequality]:
     return kept if implied else [*kept, third]
 
 
-def assumption_7(c: Sampled, clock: Budget) -> Proven:
-    """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
+def assumption_7(c: Sampled, clock: Budget) -> Verdict:
+    """Prove P1 and lam over all real starts, lam_samples over sample starts."""
     stated, slack = targets(c.weights), 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
 
@@ -379,7 +378,7 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Budget) 
     raise Undecided(name, f"{name} could not be decided: {why}")
 
 
-CLAIMS: dict[str, Callable[..., Proven]] = {
+CLAIMS: dict[str, Callable[..., Verdict]] = {
     CLAIM: assumption_7,
     FAMILY_CLAIM: lambda c, clock: family(c, targets(c.weights), clock),
     DETECTABILITY_CLAIM: detectability,

@@ -12,7 +12,7 @@ import numpy as np
 
 from sampling_design.certificates.rigorous.ball_problem import dissipation, in_units, proven_slack
 from sampling_design.checkers.detectability import INEQUALITY, Detectability
-from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
+from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, floats, identity, matrix, symmetric
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -21,8 +21,8 @@ from sampling_design.records.record import short
 SHARES = (0.999, 0.5, 1e-3)  # parts of the guessed least eigenvalue that are tried as a proven slack, the largest first
 
 
-def detectability(c: Detectability, clock: Budget) -> Proven:
-    """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
+def detectability(c: Detectability, clock: Budget) -> Verdict:
+    """Prove P > 0 and the dissipation inequality; the slack is relative to its terms.
 
     Raises Refused if one of them certainly fails (with amount and direction), or nothing is certain at this precision.
     """

@@ -17,8 +17,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
     positive_definite,
 )
 from sampling_design.checkers.cover import judge
+from sampling_design.checkers.families import SUBJECT
 from sampling_design.checkers.family_file import OfFamily
-from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
+from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
 from sampling_design.numerics.ball_flow import HALVINGS
 from sampling_design.numerics.balls import (
     Ball,
@@ -36,8 +37,6 @@ from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
 Pattern = tuple[bool, ...]
-
-SUBJECT = "every schedule of the family, every real window start and every later t"
 
 Stretch = tuple[Matrix, Ball, Ball, int]
 
@@ -95,8 +94,8 @@ class BallIntervals:
             raise Refused(self.name, reason, amount=amount, time=float(at))
 
 
-def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> Proven:
-    """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
+def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> Verdict:
+    """Prove that the graph holds the family, and every edge and node."""
     graph = c.graph
     judge(c.family, graph)
     weights = BallWeights(c.plant, c.weights)

@@ -19,7 +19,7 @@ from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Inclusion, moved
 from sampling_design.checkers.members import JUMP
-from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
+from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -31,8 +31,8 @@ PRICE = 200
 MOST_SETS = 2000  # sets of C that are tried for one sample
 
 
-def inclusion(c: Inclusion, clock: Budget) -> Proven:
-    """Prove all inequalities of a certificate for an inclusion; what was proven, for what, and the least slack.
+def inclusion(c: Inclusion, clock: Budget) -> Verdict:
+    """Prove all inequalities of a certificate for an inclusion.
 
     Raises Refused if one of them certainly fails, or nothing is certain at this precision.
     """

@@ -19,8 +19,9 @@ import scipy.linalg
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.families.graphs import Edge, PathCompleteGraph, graph_of
+from sampling_design.certificates.families.graphs import PathCompleteGraph, graph_of
 from sampling_design.certificates.form.horizon import output_information
+from sampling_design.checkers.family_file import Edge
 from sampling_design.errors import SamplingDesignError
 from sampling_design.numerics.balancing import balance
 from sampling_design.records.arrays import Array, Index, Mask

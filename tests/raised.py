@@ -26,7 +26,6 @@ ROOTS = {
     "explorer.server": "ConnectionOver",
     "records.budget": "BudgetSpentError",
     "certificates.exact.weight_choice": "_WorkExhausted",
-    "records.signatures": "_UncheckedAnnotation",
     "design.problem.interrupt": "DesignInterrupt",
 }
 """Every exception that the house defines is one of these or inherits from one (a test walks the package)."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from importlib import import_module
 
 from .parts import FORMAT, Claim, digest, plant_of
-from .strict import Altered, BadFile, is_text, plain, refuse
+from .strict import BadFile, is_text, plain, refuse
 
 CLAIMS = {
     "assumption-7": "sampled",
@@ -34,5 +34,5 @@ def certificate(data: Mapping[str, object]) -> object:
     claim = claim_of(data)
     read = claim.table(data, "")
     if data["digest"] != digest(data):
-        raise Altered("the digest does not fit the content: something was altered after it was written")
+        raise BadFile("the digest does not fit the content: something was altered after it was written", "digest")
     return claim.record(read, plant_of(read["plant"]))

@@ -34,15 +34,14 @@ ELSEWHERE: dict[str, list[str]] = {}
 
 
 class BadFile(Exception):
-    """Data that are not what the grammar of their file allows: one sentence that names the place."""
+    """Data that are not what the grammar of their file allows: one sentence that names the place.
 
-    broken = "form"
+    What is `broken` is their form, or the digest, which does not fit them.
+    """
 
-
-class Altered(BadFile):
-    """Data whose digest does not fit them."""
-
-    broken = "digest"
+    def __init__(self, sentence: str, broken: str = "form") -> None:
+        super().__init__(sentence)
+        self.broken = broken
 
 
 def refuse(place: str, what: str) -> BadFile:

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import RecordRow
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord
@@ -105,7 +106,8 @@ class KalmanFilter(WindowedEstimator):
             raise ArgumentError(
                 '`cost` must have the form "certificate" here: a filter keeps no window of the paper\'s.'
             )
-        weights = build_weights(plant, certificate, cost, WeighedBounds(w_bound, v_bound, initial_error))
+        given = ErrorBoundArguments(w_bound=w_bound, v_bound=v_bound, initial_error=initial_error)
+        weights = build_weights(plant, certificate, cost, given)
         self.memory = self.maximum_delay = checks.nonnegative("maximum_delay", maximum_delay)
         self.horizon = np.inf
         bounds = ErrorBounds(weights, w_bound, v_bound, initial_error)

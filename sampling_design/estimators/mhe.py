@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import RecordRow
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints, WindowConstraints, narrowed
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import problem_as_written, solve_constrained
-from sampling_design.estimators.gap_flows.cost_weights import CostFunction, WeighedBounds, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.evidence import SUSPECTS
@@ -162,7 +163,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         plant = part_for(plant, rows.get("of"))
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
         self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "improved")
-        weighed = WeighedBounds(w_bound, v_bound, initial_error)
+        weighed = ErrorBoundArguments(w_bound=w_bound, v_bound=v_bound, initial_error=initial_error)
         weights = build_weights(plant, certificate, cost, weighed, self.horizon)
         given = Constraints() if constraints is None else constraints
         table = FlowTable(weights, given.w_model == "constant" and given.w is not None)

@@ -52,10 +52,6 @@ TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum al
 _inside = threading.local()
 
 
-class _UncheckedAnnotation(Exception):
-    """An annotation that says nothing a door could check."""
-
-
 class OpenVerb(Protocol[Kind, P, Own, Common]):
     """A function of a plant that rings do for plants of other kinds, with a result that they have in common."""
 
@@ -347,9 +343,7 @@ def _line(error: BaseException) -> str:
 
 def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     """What turns an argument into one of the annotated kind, or raises; None if anything may pass."""
-    try:
-        kinds = _kinds(hint)
-    except _UncheckedAnnotation:
+    if (kinds := _kinds(hint)) is None:
         return None
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
@@ -384,11 +378,12 @@ def _classes(hint: object) -> tuple[object, ...]:
     return typing.get_args(hint) or (hint,)
 
 
-def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
-    """The words and the test of every alternative of an annotation."""
+def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]] | None:
+    """The words and the test of every alternative of an annotation; None of one that says nothing to be checked."""
     origin = typing.get_origin(hint)
     if origin in (Union, types.UnionType):
-        return [kind for member in typing.get_args(hint) for kind in _kinds(member)]
+        found = [_kinds(member) for member in typing.get_args(hint)]
+        return None if None in found else [kind for kinds in found for kind in kinds or ()]
     if origin is Literal:
         allowed = typing.get_args(hint)
         return [(f"one of {', '.join(map(repr, allowed))}", lambda _, v: v if _among(v, allowed) else _NO)]
@@ -410,7 +405,7 @@ def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
         listed = kind
         return [(_HELD[kind], lambda _, v: _as_typed(v, listed))]
     if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
-        raise _UncheckedAnnotation  # an array, or what becomes one
+        return None  # an array, or what becomes one
     return [_instance(kind)]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Generic, Protocol, TypedDict, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from sampling_design.checkers.strict import a_table, is_text, or_nothing, refuse, table, text
 from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
@@ -109,11 +109,8 @@ class HasDict(Protocol):
         ...
 
 
-class _SweepAnswer(TypedDict):
-    """An answer as plain data, or None and what stands in its way."""
-
-    answer: dict[str, Plain] | None
-    obstacle: str
+Answer: TypeAlias = tuple[dict[str, Plain] | None, str]
+"""An answer as plain data, or None and what stands in its way."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -214,37 +211,34 @@ def sweep(
     journal = None
     if resume is not None:
         journal = Journal(resume, digest(question, {name: named[name] for name in names}), _read)
-    known: dict[str, _SweepAnswer] = dict(journal.known) if journal is not None else {}
+    known: dict[str, Answer] = dict(journal.known) if journal is not None else {}
     todo = [name for name in names if name not in known]
     for place, answer in numbered(_answered, [(question, named[name]) for name in todo], workers):
         name = todo[place]
         known[name] = answer
         if journal is not None:
-            journal.add(name, answer)
+            journal.add(name, {"answer": answer[0], "obstacle": answer[1]})
         if progress is not None:
-            progress(len(known) / len(names), f"{name}: {answer['obstacle'] or 'answered'}")
-    return Sweep(
-        names,
-        tuple(known[name]["answer"] for name in names),
-        tuple(known[name]["obstacle"] for name in names),
-    )
+            progress(len(known) / len(names), f"{name}: {answer[1] or 'answered'}")
+    answers, obstacles = zip(*(known[name] for name in names), strict=True)
+    return Sweep(names, answers, obstacles)
 
 
-def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> _SweepAnswer:
+def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> Answer:
     """The answer as plain data, the same as it would be after a way through a file."""
     question, item = job
     try:
         found = question(item)
     except SamplingDesignError as error:
-        return _SweepAnswer(answer=None, obstacle=str(error) or type(error).__name__)
+        return None, str(error) or type(error).__name__
     if not isinstance(found, HasDict):
         raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(found)}.")
-    return _SweepAnswer(answer=from_json(to_json(found.to_dict()), "the answer"), obstacle="")
+    return from_json(to_json(found.to_dict()), "the answer"), ""
 
 
-def _read(value: object, place: str) -> _SweepAnswer:
+def _read(value: object, place: str) -> Answer:
     """An answer as a journal holds it, or what stands in its way."""
     found = table({"answer": or_nothing(a_table), "obstacle": text})(value, place)
     if (found["answer"] is None) != bool(found["obstacle"]):
         raise refuse(place, "must hold an answer or an obstacle, and not both")
-    return _SweepAnswer(answer=found["answer"], obstacle=found["obstacle"])
+    return found["answer"], found["obstacle"]

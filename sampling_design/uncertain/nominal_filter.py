@@ -14,8 +14,9 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from sampling_design.accuracy.readings import RecordRow
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_weights import CostFunction, CostWeights, WeighedBounds, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, CostWeights, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.estimate import Estimate
@@ -240,9 +241,8 @@ class NominalFilter(KalmanFilter):
         if plant.vertices:
             raise ArgumentError("`plant` must have parameters in a box, got one between vertices.")
         nominal = plant.nominal
-        given = build_weights(
-            nominal, None, CostFunction() if cost is None else cost, WeighedBounds(w_bound, v_bound, initial_error)
-        )
+        stated = ErrorBoundArguments(w_bound=w_bound, v_bound=v_bound, initial_error=initial_error)
+        given = build_weights(nominal, None, CostFunction() if cost is None else cost, stated)
         bound = None if w_bound is None else checks.bound("w_bound", w_bound, nominal.n_disturbances)
         energy = given.disturbance_energy(bound)
         self.model = plant

@@ -149,7 +149,8 @@ def worst_energy(found: ErrorMap, apriori: AprioriBound) -> tuple[float, int, Er
     best: tuple[float, int, Array, ErrorSources] | None = None
     for row in chosen:
         parts = sensitivity(found, int(row))
-        total = sum(E @ D @ np.swapaxes(E, -1, -2) for E, D in _weighted(found, apriori, int(row), parts))
+        terms = _bound_terms(found, apriori, int(row), parts)
+        total = sum(np.einsum("kab,kbc,kdc->ad", E, D, E) for E, D in terms)
         values, vectors = np.linalg.eigh(apriori.root @ total @ apriori.root.T)
         if best is None or values[-1] > best[0]:
             best = float(values[-1]), int(row), apriori.root.T @ vectors[:, -1], parts
@@ -158,11 +159,11 @@ def worst_energy(found: ErrorMap, apriori: AprioriBound) -> tuple[float, int, Er
     e0, w, v = (
         D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _bound_terms(found, apriori, row, parts)
     )
-    return ratio, row, ErrorSources(*(part[None, ..., 0] for part in (e0, w, v)))
+    return ratio, row, ErrorSources(e0[..., 0], *(part[None, ..., 0] for part in (w, v)))
 
 
 def _bound_terms(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
-    """Each part with the inverse of its weight in the promise at that row."""
+    """Each part, a stack of matrices, with the inverses of its weights in the promise at that row."""
     line, t = found.timeline, found.rows.times[row]
     inside, rate = line.times[1:] <= t * (1 + 1e-15), apriori.rate
     faded = np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted_length(rate, line.lengths)
@@ -172,22 +173,10 @@ def _bound_terms(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorS
     weights = apriori.sample_weights(line.masks)
     blank = np.einsum("ja,ab->jab", 1 - line.masks, np.eye(line.masks.shape[1]))
     return [
-        (parts.e0, np.linalg.inv(apriori.prior) * np.exp(rate * t) / apriori.gain),
+        (parts.e0[None], np.linalg.inv(apriori.prior)[None] * np.exp(rate * t) / apriori.gain),
         (parts.w, unit / cost[:, None, None] / apriori.gain),
         (parts.v, np.linalg.inv(weights + blank) * decay[:, None, None] / apriori.gain),
     ]
-
-
-def _weighted(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
-    """The same as two-dimensional blocks, so that their sum is one matrix."""
-    flat = []
-    for E, D in _bound_terms(found, apriori, row, parts):
-        if E.ndim == 2:
-            flat.append((E, D))
-        else:
-            scaled = np.einsum("kab,kbc,kdc->ad", E, D, E)
-            flat.append((np.eye(E.shape[1]), scaled))
-    return flat
 
 
 def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> ErrorSources:

@@ -161,42 +161,19 @@ def build_error_map(timeline: Timeline, estimator: OnlineEstimator, bounds: Scen
     bounds : Bounds
         For the radii.
     """
-    weights, line = estimator.weights, timeline
-    gaps = np.diff(line.times[line.events])
-    F, W = discounted_flow(line.plant.A, weights.noise, gaps, weights.eta)
-    roots = weights.of(line.masks).y_root
-    H = roots @ line.plant.C
-    builder = _ErrorMapBuilder(estimator, line, F, W, np.exp(weights.eta * gaps), H, bounds)
-    windows, half, rows = builder.build()
-    return ErrorMap(
-        timeline=line,
-        F=F,
-        decay=np.exp(-weights.eta * gaps),
-        windows=tuple(windows),
-        rows=rows,
-        half=half,
-        H=H,
-        weigh=roots,
-        w_energy=weights.disturbance_energy(bounds.w),
-        prior_energy=weights.prior_energy(bounds.e0),
-        eta=weights.eta,
-    )
+    return _ErrorMapBuilder(estimator, timeline, bounds).build()
 
 
 class _ErrorMapBuilder:
     """Covariances and gains of all windows, in order of time."""
 
-    def __init__(
-        self,
-        estimator: OnlineEstimator,
-        line: Timeline,
-        F: Array,
-        W: Array,
-        growth: Array,
-        H: Array,
-        bounds: ScenarioBounds,
-    ):
-        self.weights, self.line, self.F, self.W, self.growth, self.H = estimator.weights, line, F, W, growth, H
+    def __init__(self, estimator: OnlineEstimator, line: Timeline, bounds: ScenarioBounds):
+        self.weights, self.line, self.bounds = estimator.weights, line, bounds
+        gaps, eta = np.diff(line.times[line.events]), self.weights.eta
+        self.F, self.W = discounted_flow(line.plant.A, self.weights.noise, gaps, eta)
+        self.growth, self.decay = np.exp(eta * gaps), np.exp(-eta * gaps)
+        self.weigh = self.weights.of(line.masks).y_root
+        self.H = self.weigh @ line.plant.C
         self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
         self.closed = self.weights.cost == "paper"
         self.prior = self.weights.prior_root @ self.weights.prior_root.T
@@ -205,7 +182,8 @@ class _ErrorMapBuilder:
         self.energies = self.weights.sample_energy(bounds.v, False, line.masks)
         self.w_energy = self.weights.disturbance_energy(bounds.w)
 
-    def build(self) -> tuple[list[SolveWindow], Array, ErrorRows]:
+    def build(self) -> ErrorMap:
+        """The map of all windows."""
         line, eta = self.line, self.weights.eta
         noise = discounted_flow(line.plant.A, self.weights.noise, line.lengths, eta)[1]
         Y, windows, kept, at, after = self.prior, [], [], [], []
@@ -227,7 +205,10 @@ class _ErrorMapBuilder:
             after.append(True)
         half = np.asarray(np.linalg.solve(np.linalg.cholesky(np.array(kept)), np.eye(Y.shape[0])))
         rows = ErrorRows(np.array(at), np.array(after), line.times[at])
-        return windows, half, rows
+        return ErrorMap(
+            timeline=line, F=self.F, decay=self.decay, windows=tuple(windows), rows=rows, half=half, H=self.H,
+            weigh=self.weigh, w_energy=self.w_energy, prior_energy=self.weights.prior_energy(self.bounds.e0), eta=eta,
+        )  # fmt: skip
 
     def _window(self, end: int, online: dict[int, Array]) -> tuple[SolveWindow, Array]:
         j, times = self.sample_of[end], self.line.times[self.line.events]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,17 +21,6 @@ from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, dr
 BLOCK = 64  # runs that are computed together. Fixed, since the rounding of a product may depend on how many share it
 
 
-@dataclass(frozen=True, eq=False)
-class RunBlock:
-    """Runs with these seeds through one error map. Small enough to send, and it carries all it needs."""
-
-    found: ErrorMap
-    bounds: ScenarioBounds
-    apriori: AprioriBound | None
-    measure: Array
-    seeds: tuple[np.random.SeedSequence, ...]
-
-
 class MonteCarloTrials(NamedTuple):
     """What was observed, one row per run.
 
@@ -45,10 +34,15 @@ class MonteCarloTrials(NamedTuple):
     plain: Array
 
 
-def run_block(block: RunBlock) -> MonteCarloTrials:
-    """Draw, apply and compare one block."""
-    found, line = block.found, block.found.timeline
-    return measured(found, block.apriori, block.measure, draw_inputs(line, block.bounds, block.seeds))
+def run_block(
+    found: ErrorMap,
+    bounds: ScenarioBounds,
+    apriori: AprioriBound | None,
+    measure: Array,
+    seeds: Sequence[np.random.SeedSequence],
+) -> MonteCarloTrials:
+    """Draw runs with these seeds, apply one error map and compare."""
+    return measured(found, apriori, measure, draw_inputs(found.timeline, bounds, seeds))
 
 
 def measured(found: ErrorMap, apriori: AprioriBound | None, measure: Array, inputs: ErrorSources) -> MonteCarloTrials:
@@ -85,8 +79,12 @@ def monte_carlo(
 
     Parameters
     ----------
-    found, bounds, promise, measure
-        As in `RunBlock`.
+    found : ErrorMap
+    bounds : ScenarioBounds
+        Within which inputs are drawn.
+    apriori : AprioriBound or None
+    measure : (k, n) array
+        Of errors, before their length is taken.
     seeds : sequence of SeedSequence
         A run depends on its own seed alone.
     workers : Executor, Client, int or str, optional
@@ -94,15 +92,14 @@ def monte_carlo(
     journal : Journal, optional
         Where blocks are written down under `name` as they are finished; what it holds is not computed again.
     """
-    blocks = [
-        RunBlock(found, bounds, apriori, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
-    ]
+    blocks = [seeds[k : k + BLOCK] for k in range(0, len(seeds), BLOCK)]
     known = {} if journal is None else journal.known
     parts = {k: known[f"{name} {k}"] for k in range(len(blocks)) if f"{name} {k}" in known}
     for k, part in parts.items():
-        _fits(part, blocks[k], str(journal and journal.path))
+        _fits(part, len(blocks[k]), found.rows.times.size, str(journal and journal.path))
     todo = [k for k in range(len(blocks)) if k not in parts]
-    for place, part in numbered(run_block, [blocks[k] for k in todo], workers):
+    run = partial(run_block, found, bounds, apriori, measure)
+    for place, part in numbered(run, [blocks[k] for k in todo], workers):
         k = todo[place]
         parts[k] = part
         if journal is not None:
@@ -113,9 +110,8 @@ def monte_carlo(
     return MonteCarloTrials(*(np.concatenate(column) for column in zip(*whole, strict=True)))
 
 
-def _fits(part: MonteCarloTrials, block: RunBlock, where: str) -> None:
-    """Refuse trials of a journal that are not of this block."""
-    runs, rows = len(block.seeds), block.found.rows.times.size
+def _fits(part: MonteCarloTrials, runs: int, rows: int, where: str) -> None:
+    """Refuse trials of a journal that are not of so many runs and rows of a map."""
     shapes = ((runs, rows), (runs,), (runs, rows), (1, rows))
     with usable(where):
         for key, shape in zip(MonteCarloTrials._fields, shapes, strict=True):

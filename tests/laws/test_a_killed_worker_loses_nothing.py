@@ -299,7 +299,7 @@ def test_a_validation_goes_on_where_it_was_killed(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         report(resume=path, progress=interrupted)
     block = monte_carlo.run_block
-    monkeypatch.setattr(monte_carlo, "run_block", lambda job: ran.append(1) or block(job))
+    monkeypatch.setattr(monte_carlo, "run_block", lambda *job: ran.append(1) or block(*job))
     assert report(resume=path) == alone
     assert len(ran) == 1 + 3
     certificate = sd.certify(PLANT, schedule, eta=0.4, P2=np.eye(2))  # a second start makes it anew

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -256,16 +255,6 @@ def constants_from_proof(
     return _record(plant, schedule, variant, split, proven, found)
 
 
-class ProofChoices(TypedDict, total=False):
-    """What may be chosen in the proof, as for `constants_from_proof`."""
-
-    gain: npt.ArrayLike | None
-    Q: npt.ArrayLike | None
-    detectability: DetectabilityCertificate | None
-    sigma_bar: float | None
-    kappa: int | None
-
-
 _VARIANTS = {"paper": paper_weights, "tightened": tightened_weights}
 
 
@@ -275,7 +264,12 @@ def certify_from_proof(
     schedule: Schedule | PeriodicSchedule,
     window: float | None = None,
     variant: str = "paper",
-    **choices: Unpack[ProofChoices],
+    *,
+    gain: npt.ArrayLike | None = None,
+    Q: npt.ArrayLike | None = None,
+    detectability: DetectabilityCertificate | None = None,
+    sigma_bar: float | None = None,
+    kappa: int | None = None,
 ) -> Certificate:
     """Return the certificate with the constants of the paper's proof.
 
@@ -285,8 +279,8 @@ def certify_from_proof(
     schedule : Schedule or PeriodicSchedule
     window : float, optional [time_unit]
     variant : {"paper", "tightened"}
-    **choices
-        `gain`, `Q`, `detectability`, `sigma_bar`, `kappa`; all as for `constants_from_proof`.
+    gain, Q, detectability, sigma_bar, kappa
+        All as for `constants_from_proof`.
 
     Returns
     -------
@@ -311,7 +305,9 @@ def certify_from_proof(
     >>> certificate.verify().passed, round(certificate.horizon("paper").minimum)
     (True, 18)
     """
-    proof = constants_from_proof(plant, schedule, window, variant, **choices)
+    proof = constants_from_proof(
+        plant, schedule, window, variant, gain=gain, Q=Q, detectability=detectability, sigma_bar=sigma_bar, kappa=kappa
+    )
     try:
         made = proof.certificate()
     except ArgumentError as error:

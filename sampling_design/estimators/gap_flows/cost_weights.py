@@ -16,7 +16,7 @@ from typing import ClassVar, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.bound_weights import LARGEST, weights_from_bounds
+from sampling_design.certificates.exact.bound_weights import LARGEST, ErrorBoundArguments, weights_from_bounds
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
@@ -124,14 +124,6 @@ class CostFunction(Record):
 
 INVERTED = 1e-15
 """Relative error of a weight in units of its diagonal: its inverse is off by as much times its condition."""
-
-
-class WeighedBounds(NamedTuple):
-    """Bounds on w, v and the first error: a number bounds the norm, a vector each entry; None where nothing is said."""
-
-    w: npt.ArrayLike | None = None
-    v: npt.ArrayLike | None = None
-    initial: npt.ArrayLike | None = None
 
 
 class SampleWeights(NamedTuple):
@@ -316,7 +308,7 @@ def build_weights(
     plant: Plant,
     certificate: SampledCertificate | None,
     cost: CostFunction,
-    bounds: WeighedBounds | None = None,
+    bounds: ErrorBoundArguments | None = None,
     horizon: float = np.inf,
 ) -> CostWeights:
     """Return the effective weights: the cost's, else the certificate's; of neither the bounds', else the scales'.
@@ -353,11 +345,10 @@ def build_weights(
     return CostWeights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=form)
 
 
-def _weighed(plant: Plant, bounds: WeighedBounds, rate: float) -> dict[str, Array]:
+def _weighed(plant: Plant, bounds: ErrorBoundArguments, rate: float) -> dict[str, Array]:
     """The weights of the bounds that are given; of one that is zero, or that no weight in doubles says, none."""
     sizes = {"w_bound": plant.n_disturbances, "v_bound": plant.n_outputs, "initial_error": plant.n_states}
-    given = zip(sizes, bounds, strict=True)
-    read = {name: checks.bound(name, value, sizes[name]) for name, value in given if value is not None}
+    read = {name: checks.bound(name, value, sizes[name]) for name, value in bounds.items() if value is not None}
     usable = {name for name, bound in read.items() if np.all((bound >= 1 / LARGEST) & (bound <= LARGEST))}
     wanted = [read[name] if name in usable else 1.0 for name in sizes]
     found = weights_from_bounds(plant, rate, *wanted)

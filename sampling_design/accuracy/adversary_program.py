@@ -132,10 +132,11 @@ class ConeWindow:
         return StageSolution(z, w, tuple(self._gains(y)), costates, np.zeros(0), np.inf)
 
     def _nowhere(self) -> StageSolution:
-        nothing, K = self._nothing(), len(self.nodes)
-        gains = tuple(np.zeros(len(self.system.samples[j].H)) for j in self.nodes)
-        costates = np.zeros((K - 1, self.system.D.size))
-        return StageSolution(nothing.z, nothing.w, gains, costates, np.zeros(0), np.inf)
+        system, K = self.system, len(self.nodes)
+        w = tuple(np.zeros(system.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
+        gains = tuple(np.zeros(len(system.samples[j].H)) for j in self.nodes)
+        z, costates = np.zeros((K, system.D.size)), np.zeros((K - 1, system.D.size))
+        return StageSolution(z, w, gains, costates, np.zeros(0), np.inf)
 
     def gains(self, mu: Array, enough: float = 0.0) -> Gains:
         """Return the best gains for the target mu'z_K, with what they prove; good ones, if that is `enough`."""
@@ -145,11 +146,6 @@ class ConeWindow:
         """Return both sides for the target mu'z_K, each evaluated without the solver."""
         point = self._solved(mu)
         return self.upper(mu, self._steadied(mu, point)), self._admissible(mu, point)
-
-    def _nothing(self) -> Adversary:
-        system = self.system
-        w = tuple(np.zeros(system.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
-        return Adversary(0.0, w, np.zeros((len(self.nodes), system.D.size)), self.nodes[-1], system)
 
     def _gains(self, y: Array) -> list[Array]:
         """Gains from the multipliers of the noise cones."""
@@ -190,7 +186,8 @@ class ConeWindow:
     def _admissible(self, mu: Array, point: StageSolution) -> Adversary:
         """The solver's disturbance, simulated from its start (0 unless that is a set) and scaled until admissible."""
         system, n, K = self.system, mu.size, len(self.nodes)
-        best = self._nothing()
+        none = self._nowhere()
+        best = Adversary(0.0, none.u, none.z, self.nodes[-1], system)
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
             z[0] = self._first(point.z[0])

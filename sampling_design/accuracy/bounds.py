@@ -134,7 +134,7 @@ def _one(name: str, value: Given, names: tuple[str, ...]) -> tuple[Array, Array,
     if callable(value):
         raise ArgumentError(f"`{name}` must be numbers, got a function: only noise may differ from sample to sample.")
     if is_table(value):
-        return (*named_bounds(name, value, names, np.inf), False)
+        return (*named_bounds(name, value, names), False)
     if isinstance(value, tuple) and len(names) == 1 and len(value) == 2:
         half, centre = half_and_centre(name, value)
         return np.array([half]), np.array([centre]), False
@@ -291,7 +291,7 @@ class InitialSet:
         if value is None:
             return cls.box(np.full(n, np.inf))
         if is_table(value):
-            return cls.box(*named_bounds("initial_error", value, plant.states.names, np.inf))
+            return cls.box(*named_bounds("initial_error", value, plant.states.names))
         if checks.dimensions(value) == 0:
             radius = checks.nonnegative("initial_error", value)
             if radius == 0 or n == 1:
@@ -329,15 +329,13 @@ def _half_widths(value: object, n: int) -> Array:
     return half
 
 
-def named_bounds(
-    argument: str, value: Mapping[str, object], names: tuple[str, ...], missing: float
-) -> tuple[Array, Array]:
-    """Return half-widths and centres of a mapping from names to numbers or pairs (lower, upper).
+def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Return half-widths (infinite of a name that is left out) and centres of a mapping from names to numbers or pairs.
 
     Raises ArgumentError if a name is unknown, a number negative or a pair in the wrong order.
     """
     checks.known_keys(f"`{argument}`", [str(key) for key in value], names)
-    half, centre = np.full(len(names), missing), np.zeros(len(names))
+    half, centre = np.full(len(names), np.inf), np.zeros(len(names))
     for name, entry in value.items():
         at = names.index(name)
         half[at], centre[at] = half_and_centre(f"{argument}[{name!r}]", entry)

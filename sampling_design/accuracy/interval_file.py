@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design import __version__
 from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.readings import Readings, RowReading
 from sampling_design.checkers import claims
 from sampling_design.checkers.interval_file import OfInterval
-from sampling_design.checkers.parts import FORMAT, digest
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
@@ -21,6 +19,7 @@ from sampling_design.plants.rows import RequestedRows
 from sampling_design.records import file_io
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+from sampling_design.records.file_io import with_digest
 from sampling_design.records.record import Plain
 
 CLAIM = "interval"
@@ -39,52 +38,35 @@ def tree_of(
     disproof: tuple[dict[str, float], dict[str, Array]] | None,
 ) -> dict[str, Plain]:
     """Return the plain data of an interval's file, digest included; the ends are those that the gains prove."""
-    start = readings.start
-    data: dict[str, Plain] = {
-        "format": FORMAT,
-        "claim": CLAIM,
-        "plant": readings.plant.to_dict(),
-        "t": t,
-        "rows": {"names": list(rows.names), "units": list(rows.units), "matrix": rows.matrix.tolist()},
-        "lower": _or_nothing(ends[0]),
-        "upper": _or_nothing(ends[1]),
-        "gains": gains.tolist(),
-        "scales": scales.tolist(),
-        "start": {
-            "time": float(readings.times[0]),
-            "centre": start.centre.tolist(),
-            "root": None if start.unbounded else start.root.tolist(),
-            "ball": bool(start.ball),
-        },
-        "w": {
-            "centre": readings.disturbance.centre.tolist(),
-            "root": readings.disturbance.root.tolist(),
-            "ball": bool(readings.disturbance.ball),
-        },
-        "noise_together": bool(readings.ball),
-        "inputs": [{"t": float(at), "u": u.tolist()} for at, u in readings.inputs] if readings.plant.n_inputs else [],
-        "readings": [
-            {"t": float(at), "rows": [_row(row) for row in rows]}
-            for at, rows in zip(readings.times, readings.rows, strict=True)
-        ],
-        "disproof": None,
-        "tool": {"name": "sampling_design", "version": __version__},
-    }
+    start, w, proof = readings.start, readings.disturbance, None
     if disproof is not None:
-        factors, proofs = disproof
-        stated = {key: x * (1 - STATED) if np.isfinite(x) else None for key, x in factors.items()}
-        data["disproof"] = {"factors": stated, "gains": {key: x.tolist() for key, x in proofs.items()}}
-    data["digest"] = digest(data)
-    return data
+        proof = {"factors": {key: x * (1 - STATED) for key, x in disproof[0].items()}, "gains": disproof[1]}
+    times = zip(readings.times, readings.rows, strict=True)
+    parts = {
+        "claim": CLAIM,
+        "t": t,
+        "rows": {"names": rows.names, "units": rows.units, "matrix": rows.matrix},
+        "lower": ends[0],
+        "upper": ends[1],
+        "gains": gains,
+        "scales": scales,
+        "start": {
+            "time": readings.times[0],
+            "centre": start.centre,
+            "root": None if start.unbounded else start.root,
+            "ball": start.ball,
+        },
+        "w": {"centre": w.centre, "root": w.root, "ball": w.ball},
+        "noise_together": readings.ball,
+        "inputs": [{"t": at, "u": u} for at, u in readings.inputs] if readings.plant.n_inputs else [],
+        "readings": [{"t": at, "rows": [_row(row) for row in some]} for at, some in times],
+        "disproof": proof,
+    }
+    return with_digest(readings.plant, parts)
 
 
-def _row(row: RowReading) -> dict[str, Plain]:
-    since = None if row.since is None else float(row.since)
-    return {"row": row.H.tolist(), "y": float(row.y), "size": float(row.size), "below": bool(row.below), "since": since}
-
-
-def _or_nothing(values: Array) -> list[float | None]:
-    return [float(x) if np.isfinite(x) else None for x in values]
+def _row(row: RowReading) -> dict[str, object]:
+    return {"row": row.H, "y": row.y, "size": row.size, "below": row.below, "since": row.since}
 
 
 def write_tree(data: dict[str, Plain], path: str | os.PathLike[str]) -> Path:

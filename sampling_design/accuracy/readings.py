@@ -195,15 +195,13 @@ def censored_rows(
 
     `feedthrough` is D u at t where an input that jumps there enters as it was before; default: as it is from t on.
     """
-    i, n = found.output, plant.n_states
-    fed = feedthrough
+    i, fed = found.output, feedthrough
     if fed is None or (found.since is not None and found.since < t):
         fed = float(plant.D[i] @ _mean_input(inputs, found.since, t, plant.n_inputs))
     fed += centre
     H = plant.C[i]
     if found.lower == found.upper and found.since is not None:
         return (RowReading(H, found.lower - fed, size, since=found.since),)
-    assert H.shape == (n,)
     ends = ((H, found.upper - fed), (-H, fed - found.lower))
     return tuple(RowReading(row, y, size, True, found.since) for row, y in ends if np.isfinite(y))
 
@@ -311,13 +309,11 @@ class Readings:
     @cached_property
     def nominal(self) -> Array:
         """(K, n) the state that flows from the centre with the inputs and the centre of w, integrals reset."""
-        x, pieces = np.zeros(len(self.A)), []
+        x = np.zeros(len(self.A))
         x[: self.plant.n_states] = self.start.centre
         if not (self.inputs or np.any(self.start.centre) or np.any(self.disturbance.centre)):
             return np.zeros((len(self.times), len(x)))
-        marks = self.times.tolist()
-        for a, b in pairwise(marks):
-            pieces.append(self._pieces(a, b))
+        pieces = [self._pieces(a, b) for a, b in pairwise(self.times.tolist())]
         flows = iter(self._flows([length for gap in pieces for length, _ in gap]))
         found = [x]
         for k, gap in enumerate(pieces):
@@ -368,10 +364,6 @@ class Readings:
     def _balance(self) -> Array:
         """Sizes of the states in which A is even."""
         return balanced_schur(self.A).d
-
-    def cut(self, count: int) -> Readings:
-        """Return the first `count` times alone."""
-        return replace(self, times=self.times[:count], rows=self.rows[:count])
 
     @classmethod
     def unread(

@@ -14,7 +14,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.finite import determined_at
-from sampling_design.accuracy.gains import followed_back, path_bounds
+from sampling_design.accuracy.gains import ROUNDING, followed_back, path_bounds
 from sampling_design.accuracy.sampled_system import KnownSpan, MeasurementModel, SampledSystem
 from sampling_design.records.arrays import Array, Index, Mask
 
@@ -97,7 +97,7 @@ class NodeBounds(Sequence[BoundedDirections]):
             basis, reach = np.eye(system.D.size)[:, :r], self[path[0]].reach
             gains = [system.samples[node].K.T for node in path]
             cost, g, _, _ = followed_back(system, path, basis, lambda k, rest: gains[k] @ rest)
-            return BoundedDirections(basis, (cost + reach @ np.abs(g[:r])) * (1 + 1e-11))
+            return BoundedDirections(basis, (cost + reach @ np.abs(g[:r])) * (1 + ROUNDING))
         path = system.nodes(node, len(system))
         basis = determined_at(system, path)
 
@@ -134,9 +134,8 @@ def _endless(times: Array, period: float, delays: Array) -> list[ResultsIn]:
     every = (times[None, :] + period * turns[:, None]).ravel()
     index = np.tile(np.arange(times.size), turns.size).astype(np.intp)
     comes = every[:, None] + delays[index]
-    first = float(np.min(delays[int(np.argmax(measured.any(axis=1)))])) + float(
-        times[int(np.argmax(measured.any(axis=1)))]
-    )
+    earliest = int(np.argmax(measured.any(axis=1)))
+    first = float(np.min(delays[earliest]) + times[earliest])
     tiny = SAME * period
     marks = _clusters(
         comes[np.isfinite(comes) & (comes < first + period + 2 * tiny) & (comes > first - 2 * tiny)], tiny

@@ -117,14 +117,12 @@ class GainSearch:
         bounds, mu = self.system.bounds, found.opened[j].mu[place]
         if bounds.w_centre is None and bounds.v_centre is None:
             return ()
-        at = self.directions[j].find(mu)
-        gains = self.directions[j].gains[at] if at is not None else self.window(j, self.back, False).gains(mu)
-        size = (
-            1.0
-            if at is None
-            else float(mu @ self.directions[j].mu[at] / (self.directions[j].mu[at] @ self.directions[j].mu[at]))
-        )
-        return tuple(size * lam for lam in gains.gains)
+        known = self.directions[j]
+        at = known.find(mu)
+        if at is None:
+            return self.window(j, self.back, False).gains(mu).gains
+        size = float(mu @ known.mu[at] / (known.mu[at] @ known.mu[at]))
+        return tuple(size * lam for lam in known.gains[at].gains)
 
     def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], InitialSet]:
         """The last samples up to j, and what is known before the first of them."""

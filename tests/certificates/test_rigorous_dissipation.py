@@ -11,11 +11,11 @@ import pytest
 from sampling_design import Plant, named_plant, read_certificate
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
-from sampling_design.certificates.form.digest import digest
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.certificates.rigorous.dissipation_balls import INEQUALITY, decided, detectability, downhill
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.parts import digest
 from sampling_design.numerics import balls as balls
 from sampling_design.records.budget import Budget
 from tests.cases import few

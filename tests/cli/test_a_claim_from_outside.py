@@ -15,7 +15,6 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.certificates import files
-from sampling_design.certificates.form.digest import with_digest
 from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.rigorous import decide
 from sampling_design.checkers import check, claims, outcome, parts, strict
@@ -23,6 +22,7 @@ from sampling_design.checkers.detectability import downhill
 from sampling_design.checkers.outcome import Refused, Verdict, holds
 from sampling_design.numerics.balls import ball, definite, matrix, symmetric
 from sampling_design.records.evidence import Claim
+from sampling_design.records.file_io import with_digest
 
 INEQUALITY = "P > 0 and A'P + PA + eta P < 0"
 

@@ -72,7 +72,7 @@ def test_verify_refuses_a_touched_file(certified, shell):
 
 
 def test_a_false_certificate_is_a_no(certified, shell):
-    from sampling_design.certificates.form.digest import digest
+    from sampling_design.checkers.parts import digest
 
     _, folder = certified
     data = json.loads((folder / "certificate.json").read_text())
@@ -212,7 +212,7 @@ def test_rate_and_noise_budget_of_detectability_are_those_asked_for(shell):
 
 
 def test_a_false_detectability_file_is_a_no_with_direction(shell, tmp_path):
-    from sampling_design.certificates.form.digest import digest
+    from sampling_design.checkers.parts import digest
 
     shell("certify", OSCILLATOR, "--detectability", "-o", tmp_path)
     data = json.loads((tmp_path / "certificate.json").read_text())

@@ -10,7 +10,7 @@ import pytest
 from sampling_design import Constraints, Plant, certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.form.digest import RESOLUTION
+from sampling_design.certificates.form.claims import RESOLUTION
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows import flows

@@ -16,7 +16,7 @@ from sampling_design.certificates.existence.periodic import certificate_exists
 from sampling_design.certificates.families.certify_family import FamilyProposal, FamilySearch, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
-from sampling_design.certificates.form.digest import RESOLUTION
+from sampling_design.certificates.form.claims import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant, first_difference

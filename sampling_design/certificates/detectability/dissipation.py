@@ -8,7 +8,7 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, with_digest
+from sampling_design.certificates.form.claims import DETECTABILITY_CLAIM
 from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import CertificateError
@@ -17,6 +17,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.file_io import with_digest
 from sampling_design.records.record import Plain, short
 
 METHODS = ("riccati", "lmi", "proof", "given")
@@ -148,8 +149,8 @@ class DetectabilityCertificate(VerifiableRecord):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
         numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
-        parts = {"claim": DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
-        return with_digest(self.plant, parts, self.solver)
+        parts = {"claim": DETECTABILITY_CLAIM, "P": self.P, **numbers, "method": self.method, "solver": self.solver}
+        return with_digest(self.plant, parts)
 
     def explain(self) -> str:
         """Say what the certificate promises."""

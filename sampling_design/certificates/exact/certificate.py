@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
-from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, with_digest
+from sampling_design.certificates.form.claims import CLAIM, RESOLUTION
 from sampling_design.certificates.form.horizon import (
     CONTRACTION,
     Constant,
@@ -33,6 +33,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.file_io import with_digest
 from sampling_design.records.record import Plain, moment, short
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.sampling_set import ROUNDING
@@ -243,7 +244,7 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
-        return with_digest(self.plant, self._stated(), self.solver)
+        return with_digest(self.plant, self._stated() | {"solver": self.solver})
 
     def _stated(self) -> dict[str, object]:
         """What the file states; arrays as they are."""

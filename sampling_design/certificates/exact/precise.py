@@ -20,7 +20,7 @@ from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
-from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.claims import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import long_run, one_period
 from sampling_design.certificates.rigorous.decide import decided_on_schedule

@@ -16,7 +16,7 @@ from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, 
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.riccati import RiccatiPeak, at_peak, located, refine, starts_at_sample, supremum
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.claims import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import replays, verdict_on_schedule
 from sampling_design.certificates.rigorous.decide import decided_on_schedule, replays_in_balls
 from sampling_design.checkers.claims import certificate

@@ -26,7 +26,7 @@ from sampling_design.certificates.families.step_proof import (
     node_conditions,
 )
 from sampling_design.certificates.families.step_proof import prove as proven_along
-from sampling_design.certificates.form.digest import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.claims import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.filtering import propagate

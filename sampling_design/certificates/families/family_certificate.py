@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.certificates.exact.certificate import SampledCertificate, latest_samples
 from sampling_design.certificates.families.graphs import PathCompleteGraph, family_in_words, in_plant_terms
-from sampling_design.certificates.form.digest import FAMILY_CLAIM
+from sampling_design.certificates.form.claims import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

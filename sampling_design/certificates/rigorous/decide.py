@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sampling_design.certificates.form.digest import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
+from sampling_design.certificates.form.claims import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
 from sampling_design.certificates.form.horizon import ConstantList
 from sampling_design.certificates.form.verdict import Verification, verdict_of, verdict_on_content, verification
 from sampling_design.certificates.rigorous.ball_problem import (

@@ -1,4 +1,4 @@
-"""What is readings_of_sample of one time: joined where it comes in parts, corrected, or taken back."""
+"""What is read at one time: joined where it comes in parts, corrected, or taken back."""
 
 from __future__ import annotations
 

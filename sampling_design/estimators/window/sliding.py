@@ -135,7 +135,7 @@ class SlidingBand:
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
-        self._noise_energy: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
+        self._outputs: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = 0  # so many nodes have their columns
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
@@ -143,9 +143,7 @@ class SlidingBand:
         self._gains: tuple[int, tuple[object, ...], WindowGains] | None = None
         # what a sample at the start leaves of the last prior there, of the last outputs: Y, gain, and root of its cost
         self._absorbed: tuple[Array, OutputInformation, Array, Array, Array] | None = None
-        self._flows_to_points: Array | None = (
-            None  # where the gap before the newest node leads from the estimate before it
-        )
+        self._predicted: Array | None = None  # where the gap before the newest node leads from the estimate before it
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pull_before = np.zeros((ROOM, n)), np.zeros((ROOM, n))
@@ -195,30 +193,30 @@ class SlidingBand:
             return False
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
-        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._noise_energy[-1][0] else 1
+        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._outputs[-1][0] else 1
         d = math.exp(self._eta * (new.t - self._zero))
         read = kind.size.dot(abs(new.y))
         self._known.append(new)
-        self._noise_energy.append((kind, kind.root.dot(new.y - new.feedthrough if self._direct else new.y)))
+        self._outputs.append((kind, kind.root.dot(new.y - new.feedthrough if self._direct else new.y)))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
         self._pull_before[k] = self._missed[k] = 0.0
         self._measured[k] = new.y, new.mask, new.feedthrough
-        self._flows_to_points = None
+        self._predicted = None
         if not predicted:
             self._untouched = False
             return weighed and self._joined(k, d)
         last, estimated = self._reference[k - 1], self.nodes[k - 1].x
         self._untouched = last is estimated
         if self._untouched:
-            self._flows_to_points = reference
+            self._predicted = reference
             return weighed
         return weighed and self._joined(k, d, last - estimated)
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        reference, (kind, read) = self._reference[k], self._noise_energy[k]
+        reference, (kind, read) = self._reference[k], self._outputs[k]
         half = read - kind.rows.dot(reference)
         square = float(half.dot(half))
         kind.back.dot(half * d, self._pull[k])
@@ -237,8 +235,8 @@ class SlidingBand:
         n = self._n
         if ahead is not None:
             moved = new.flow.F.dot(ahead)
-        elif self._flows_to_points is not None:
-            moved = self._flows_to_points - self._reference[k]
+        elif self._predicted is not None:
+            moved = self._predicted - self._reference[k]
         else:
             moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         self._missed[k] = moved
@@ -284,7 +282,7 @@ class SlidingBand:
             rows = kept + (part is self._places)
             part[:rows] = part[count : count + rows].copy()
         self._banded = max(self._banded - count, 0)
-        del self.nodes[:count], self._known[:count], self._reference[:count], self._noise_energy[:count]
+        del self.nodes[:count], self._known[:count], self._reference[:count], self._outputs[:count]
 
     def _columns(self, rows: slice) -> Array:
         """The columns of some nodes up to the newest: what each costs, and both gaps beside it."""
@@ -292,7 +290,7 @@ class SlidingBand:
         for k in range(self._banded, rows.stop):
             new = self._known[k]
             d = math.exp(eta * (new.t - zero))
-            np.multiply(self._noise_energy[k][0].band, d, own[k])
+            np.multiply(self._outputs[k][0].band, d, own[k])
             if k and new.flow is not None:
                 gap, column = new.flow.band, own[k - 1]
                 column += gap[0] * d
@@ -401,7 +399,7 @@ class SlidingBand:
 
     def _with(self, flow: GapFlow, Y: Array) -> tuple[object, ...]:
         """What the newest node came with, and what was known where the window begins."""
-        return self._known[-1].flow, self._noise_energy[-1][0], flow, Y
+        return self._known[-1].flow, self._outputs[-1][0], flow, Y
 
     def _gains_of_last_window(self, count: int, flow: GapFlow, Y: Array) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""

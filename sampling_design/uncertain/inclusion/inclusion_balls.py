@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from sampling_design.certificates.form.digest import RESOLUTION
+from sampling_design.certificates.form.claims import RESOLUTION
 from sampling_design.certificates.rigorous.ball_problem import dissipation, positive_definite
 from sampling_design.certificates.rigorous.dissipation_balls import decided
 from sampling_design.checkers.cover import judge

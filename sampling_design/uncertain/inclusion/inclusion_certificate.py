@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
 from sampling_design.certificates.families.graphs import PathCompleteGraph
 from sampling_design.certificates.files import graph_from, times_from_dict, values_of
-from sampling_design.certificates.form.digest import INCLUSION_CLAIM
+from sampling_design.certificates.form.claims import INCLUSION_CLAIM
 from sampling_design.checkers.inclusion_file import Inclusion
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError

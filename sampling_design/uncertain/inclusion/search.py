@@ -18,7 +18,7 @@ import numpy as np
 
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.families.certify_family import LONGEST_PROOF
-from sampling_design.certificates.form.digest import INCLUSION_CLAIM
+from sampling_design.certificates.form.claims import INCLUSION_CLAIM
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError

@@ -224,13 +224,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> Path:
     return write_bytes(path, text.encode("utf-8"))
 
 
-def with_digest(plant: object, parts: Mapping[str, object]) -> Tree:
+def with_digest(plant: object, parts: Mapping[str, object], **after: object) -> Tree:
     """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
     data: Tree = {
         "format": FORMAT,
         "plant": plain(plant),
         **{key: plain(part) for key, part in parts.items()},
         "tool": {"name": "sampling_design", "version": __version__},
+        **{key: plain(part) for key, part in after.items()},
     }
     data["digest"] = digest(data)
     return data

@@ -25,8 +25,8 @@ from sampling_design.certificates.exact.weight_choice import ETA_RANGE, SCAN, We
 from sampling_design.certificates.exact.window_gains import ACTIVE, WindowSet, _log_largest_eigenvalues
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import smallest_repair
-from sampling_design.certificates.form import digest
 from sampling_design.certificates.form.verdict import verdict_of
+from sampling_design.checkers import parts
 from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.plants.plant import Signals
@@ -195,7 +195,7 @@ def test_altered_and_truncated_files_are_refused(tmp_path):
 def test_files_that_are_no_certificate_are_refused(tmp_path, change, words):
     data = json.loads(json.dumps(given().to_dict()))
     change(data)
-    data["digest"] = digest.digest(data)
+    data["digest"] = parts.digest(data)
     path = tmp_path / "c.json"
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=words):

@@ -12,8 +12,7 @@ import pytest
 from sampling_design import ArgumentError, PeriodicSchedule, Plant, certify, named_plant, read_certificate, robustness
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
-from sampling_design.certificates.form import digest
-from sampling_design.checkers import check, claims, detectability
+from sampling_design.checkers import check, claims, detectability, parts
 from sampling_design.checkers.detectability import INEQUALITY
 from sampling_design.checkers.outcome import Refused
 from sampling_design.errors import CertificateError, FileFormatError
@@ -43,7 +42,7 @@ EACH = pytest.mark.parametrize("k", range(6))
 
 
 def redigested(data):
-    data["digest"] = digest.digest(data)
+    data["digest"] = parts.digest(data)
     return data
 
 

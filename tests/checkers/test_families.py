@@ -9,9 +9,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates.form import digest
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers import check, claims, families
+from sampling_design.checkers import check, claims, families, parts
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.strict import BadFile
 from sampling_design.schedules.output_jitter import OutputJitter
@@ -40,7 +39,7 @@ def data_of(kind):
 
 
 def verdict(data):
-    data["digest"] = digest.digest(data)
+    data["digest"] = parts.digest(data)
     return check(data)
 
 
@@ -178,7 +177,7 @@ def test_nominal_schedules_are_judged_too():
     assert "must have 2 rows of 1 numbers 0 or 1" in verdict(data)["reason"]
     data = data_of("jitter")
     del data["times"]["schedule"]["period"]
-    data["digest"] = digest.digest(data)
+    data["digest"] = parts.digest(data)
     with pytest.raises(BadFile, match="must have `times` and `period` together, or neither"):
         claims.certificate(data)
 
@@ -261,7 +260,7 @@ def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
     data = data_of(kind)
     data["graph"]["words"][1] = word
     with pytest.raises(BadFile, match="must be a word of the family, got a list"):
-        claims.certificate(data | {"digest": digest.digest(data)})
+        claims.certificate(data | {"digest": parts.digest(data)})
 
 
 @pytest.mark.parametrize(
@@ -279,14 +278,14 @@ def test_what_is_no_family_is_a_bad_file(kind, change, words):
     data = data_of(kind)
     data["times"] |= change
     with pytest.raises(BadFile, match=words):
-        claims.certificate(data | {"digest": digest.digest(data)})
+        claims.certificate(data | {"digest": parts.digest(data)})
 
 
 def test_weights_that_join_outputs_read_one_at_a_time_are_a_bad_file():
     data = data_of("output-jitter")
     data["R"] = [[2.0, 0.5], [0.5, 2.0]]
     with pytest.raises(BadFile, match="`R` must be diagonal, and `Qv`, where outputs are read one at a time"):
-        claims.certificate(data | {"digest": digest.digest(data)})
+        claims.certificate(data | {"digest": parts.digest(data)})
 
 
 def test_no_inclusion_has_outputs_that_are_read_one_at_a_time():
@@ -294,7 +293,7 @@ def test_no_inclusion_has_outputs_that_are_read_one_at_a_time():
     data = sd.certify(box, GapRange(0.5, 1.0), eta=0.1).to_dict()
     data["times"] = WHICH["output-jitter"].to_dict()
     with pytest.raises(BadFile, match=r"`times\.kind` must be another one for an inclusion: its samples are read tog"):
-        claims.certificate(data | {"digest": digest.digest(data)})
+        claims.certificate(data | {"digest": parts.digest(data)})
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,7 @@ from sampling_design import checkers as checker
 from sampling_design.accuracy.interval import state_interval
 from sampling_design.certificates.detectability.best_rate import certify_detectability
 from sampling_design.certificates.families.certify_family import certify_family
-from sampling_design.certificates.form import digest
-from sampling_design.checkers import claims, outcome, sampled
+from sampling_design.checkers import claims, outcome, parts, sampled
 from sampling_design.checkers.check import main
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
@@ -61,7 +60,7 @@ def certificates():
 
 
 def redigested(data):
-    data["digest"] = digest.digest(data)
+    data["digest"] = parts.digest(data)
     return data
 
 

@@ -84,7 +84,9 @@ class DecayCertificate(decide.VerifiableRecord):
         return ConstantList([Constant("eta", self.eta, r"\eta", INEQUALITY)])
 
     def to_dict(self) -> dict[str, Any]:
-        return with_digest(self.plant, {"claim": "decay", "P": np.asarray(self.P).tolist(), "eta": self.eta}, None)
+        return with_digest(
+            self.plant, {"claim": "decay", "P": np.asarray(self.P).tolist(), "eta": self.eta}, solver=None
+        )
 
 
 def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:

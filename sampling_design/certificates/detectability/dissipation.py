@@ -149,8 +149,8 @@ class DetectabilityCertificate(VerifiableRecord):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
         numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
-        parts = {"claim": DETECTABILITY_CLAIM, "P": self.P, **numbers, "method": self.method, "solver": self.solver}
-        return with_digest(self.plant, parts)
+        parts = {"claim": DETECTABILITY_CLAIM, "P": self.P, **numbers, "method": self.method}
+        return with_digest(self.plant, parts, solver=self.solver)
 
     def explain(self) -> str:
         """Say what the certificate promises."""

@@ -244,7 +244,7 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
-        return with_digest(self.plant, self._stated() | {"solver": self.solver})
+        return with_digest(self.plant, self._stated(), solver=self.solver)
 
     def _stated(self) -> dict[str, object]:
         """What the file states; arrays as they are."""

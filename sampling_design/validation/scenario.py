@@ -9,6 +9,7 @@ from typing import NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import input_at
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
@@ -95,13 +96,6 @@ def within(bound: Array, raw: Array) -> Array:
     size = np.linalg.norm(raw, axis=-1, keepdims=True)
     typical = np.sqrt(max(raw.shape[-1] - 2 / 3, 0.4549))  # median of the norm, near enough
     return np.asarray(bound * raw / np.maximum(size, typical))
-
-
-def largest_square(weight: Array, bound: Array) -> float:
-    """Return a bound on z'Wz for z within the bound: exact for a norm, for entries if W is diagonal."""
-    if bound.ndim == 0:
-        return float(np.linalg.eigvalsh(weight)[-1]) * float(bound) ** 2 if weight.size else 0.0
-    return float(bound @ np.abs(weight) @ bound)
 
 
 def norm_of(bound: Array) -> float:
@@ -307,11 +301,6 @@ def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[
     return sorted(checked, key=lambda pair: pair[0])
 
 
-def _input_at(plant: Plant, changes: list[tuple[float, Array]], t: float) -> Array:
-    known = [u for time, u in changes if time <= t]
-    return known[-1] if known else np.zeros(plant.n_inputs)
-
-
 def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, Array]]) -> Array:
     """States at the break points; a cell in which u changes is crossed in parts."""
     states = np.empty((line.times.size, x.size))
@@ -320,13 +309,15 @@ def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, A
         a, b = line.times[c], line.times[c + 1]
         edges = [a, *(t for t, _ in changes if a < t < b), b]
         lengths = np.diff(edges)
-        F, gamma = (line.F[c : c + 1], line.gamma[c : c + 1]) if len(edges) == 2 else _flows(line.plant, lengths, "G")
-        driven = _flows(line.plant, lengths, "B")[1] if changes else None
+        F, gamma = line.F[c : c + 1], line.gamma[c : c + 1]
+        if len(edges) > 2:
+            F, gamma = exact_flow(line.plant, lengths, line.plant.G)
+        driven = exact_flow(line.plant, lengths, line.plant.B)[1] if changes else None
         with np.errstate(over="ignore", invalid="ignore"):
             for k, left in enumerate(edges[:-1]):
                 x = F[k] @ x + gamma[k] @ w[c]
                 if driven is not None:
-                    x = x + driven[k] @ _input_at(line.plant, changes, left)
+                    x = x + driven[k] @ input_at(changes, left, line.plant.n_inputs)
         if not np.isfinite(x).all():
             raise ArgumentError(
                 "`duration` must end before the state grows beyond all numbers, at "
@@ -336,10 +327,6 @@ def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, A
     return states
 
 
-def _flows(plant: Plant, lengths: Array, matrix: str) -> tuple[Array, Array]:
-    return exact_flow(plant, lengths, getattr(plant, matrix))
-
-
 def _measured(
     line: Timeline, states: Array, drawn: ErrorSources, changes: list[tuple[float, Array]], noise: str
 ) -> SimulatedRecord:
@@ -347,7 +334,7 @@ def _measured(
     plant, when = line.plant, line.times[line.samples]
     stamps = np.unique(np.concatenate([when, [t for t, _ in changes], [0.0] if plant.n_inputs else []]))
     y = np.full((stamps.size, plant.n_outputs), np.nan)
-    u = np.array([_input_at(plant, changes, t) for t in stamps]).reshape(stamps.size, plant.n_inputs)
+    u = np.array([input_at(changes, t, plant.n_inputs) for t in stamps]).reshape(stamps.size, plant.n_inputs)
     outputs = states[line.samples] @ plant.C.T + drawn.v[0]
     rows = np.searchsorted(stamps, when)
     y[rows] = np.where(line.masks > 0, outputs + u[rows] @ plant.D.T, np.nan)

@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints
-from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, largest_energy
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -30,7 +30,6 @@ from sampling_design.validation.scenario import (
     ScenarioBounds,
     draw_inputs,
     initial_inputs,
-    largest_square,
     norm_of,
     resonant_inputs,
 )
@@ -146,8 +145,8 @@ class ValidationStudy:
 
     def _largest(self, apriori: AprioriBound) -> Array:
         b = self.bounds
-        noise_energies = [largest_square(weight, b.v) for weight in apriori.sample_weights(self.line.masks)]
-        energies = largest_square(apriori.prior, b.e0), largest_square(apriori.w, b.w), np.array(noise_energies)
+        noise_energies = [largest_energy(weight, b.v) for weight in apriori.sample_weights(self.line.masks)]
+        energies = largest_energy(apriori.prior, b.e0), largest_energy(apriori.w, b.w), np.array(noise_energies)
         return apriori.at_most(self.line, self.map.rows, energies)
 
     def _judge(self, scenario: str, trials: MonteCarloTrials, strength: Strength = "sampled") -> None:

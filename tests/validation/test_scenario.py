@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from sampling_design import ArgumentError, PeriodicSchedule, Plant, simulate_record
+from sampling_design.estimators.gap_flows.cost_weights import largest_energy
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS
 from sampling_design.validation.scenario import (
     ScenarioBounds,
     draw_inputs,
     initial_inputs,
-    largest_square,
     most_along,
     resonant_inputs,
     scaled_to,
@@ -62,8 +62,8 @@ def test_directions_and_sizes():
     assert 0.4 < np.mean(np.linalg.norm(draws, axis=1) > 2.0 - 1e-9) < 0.6
     weight = np.array([[2.0, 0.5], [0.5, 1.0]])
     best = max(z @ weight @ z for z in np.array([[1, 3], [1, -3], [-1, 3]], float))
-    assert largest_square(weight, box) == pytest.approx(best)
-    assert largest_square(weight, ball) == pytest.approx(4 * np.linalg.eigvalsh(weight)[-1])
+    assert largest_energy(weight, box) == pytest.approx(best)
+    assert largest_energy(weight, ball) == pytest.approx(4 * np.linalg.eigvalsh(weight)[-1])
 
 
 def test_a_simulated_record_is_exact_with_inputs_and_feedthrough():

@@ -149,8 +149,8 @@ class WindowSet:
         Y, _, valid = self._paths(half.T @ half, gains=False)
         tops = []
         if len(cycle := self.cycle):
-            tops.append(_log_largest_eigenvalues(L.T @ cycle @ L, np.ones(len(cycle), dtype=bool))[0].max())
-        logs, _ = _log_largest_eigenvalues(L.T @ Y @ L, valid)
+            tops.append(_log_largest_eigenvalues(L.T @ cycle @ L, np.ones(len(cycle), dtype=bool)).max())
+        logs = _log_largest_eigenvalues(L.T @ Y @ L, valid)
         top = logs.max(axis=0)
         total = np.sum(np.exp(SHARPNESS * np.minimum(logs - top, 0.0)), axis=0, where=logs > top - ACTIVE)
         return float(max([0.0, *tops, (top + np.log(total) / SHARPNESS).max()]))  # a window starts with one
@@ -170,8 +170,8 @@ class WindowSet:
         return np.append(values, last), np.concatenate([gradients, slope])
 
 
-def _log_largest_eigenvalues(ratios: Array, valid: Mask) -> tuple[Array, Array]:
-    """ln lambda_max of each matrix, times first; -inf where it cannot enter a smooth maximum over times; the matrices.
+def _log_largest_eigenvalues(ratios: Array, valid: Mask) -> Array:
+    """ln lambda_max of each matrix, times first; -inf where it cannot enter a smooth maximum over times.
 
     Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues; of larger matrices the largest one of
     the time with the largest entry, and the bound of powers, spare most of those that are left.
@@ -193,12 +193,13 @@ def _log_largest_eigenvalues(ratios: Array, valid: Mask) -> tuple[Array, Array]:
             raised, where = raised[left], tuple(part[left] for part in where)
     logs = np.full(ratios.shape[:-2], -np.inf)
     logs[hopeful] = np.log(np.maximum(np.linalg.eigvalsh(ratios[hopeful])[..., -1], 1e-300))
-    return logs, ratios
+    return logs
 
 
 def _smooth_max(L: Array, half: Array, X: Array, Y: Array, Phi: Array, valid: Mask) -> tuple[Array, Array]:
     """Smooth maximum over times (first axis) of ln lambda_max(L'YL) per window, and its gradient in P2."""
-    logs, ratios = _log_largest_eigenvalues(L.T @ Y @ L, valid)
+    ratios = L.T @ Y @ L
+    logs = _log_largest_eigenvalues(ratios, valid)
     top = logs.max(axis=0)
     time, window = np.nonzero(logs > top - ACTIVE)
     share = np.exp(SHARPNESS * (logs[time, window] - top[window]))

@@ -239,11 +239,11 @@ class CostWeights:
 
     def prior_energy(self, bound: Array | None) -> float:
         """Return the largest |e|^2_prior over the bound on e (infinity for None)."""
-        return _energy(self.prior, bound)
+        return largest_energy(self.prior, bound)
 
     def disturbance_energy(self, bound: Array | None) -> float:
         """Return the largest |w|^2_w over the bound on w (infinity for None)."""
-        return _energy(self.w, bound)
+        return largest_energy(self.w, bound)
 
     @cached_property
     def diagonal_noise(self) -> bool:
@@ -254,7 +254,7 @@ class CostWeights:
         """Return, per row of the (N, p) `masks`, a bound on |v|^2_R over its measured outputs."""
         if bound is None:
             return np.where(masks.any(axis=1), np.inf, 0.0)
-        return np.array([_energy(self.at(mask).R, bound) for mask in masks])
+        return np.array([largest_energy(self.at(mask).R, bound) for mask in masks])
 
     def sample_energy(self, bound: Array | None, kept: bool, masks: Array) -> Array:
         """Return, per row of the (N, p) `masks`, a bound on the weighted square of v over its measured outputs.
@@ -293,8 +293,8 @@ def marginal(weight: Array, measured: Mask) -> Array:
     return symmetrise(root.T @ root)
 
 
-def _energy(weight: Array, bound: Array | None) -> float:
-    """Largest z'Wz over |z| <= bound (a number) or |z_i| <= bound_i (a vector; an upper bound unless W is diagonal)."""
+def largest_energy(weight: Array, bound: Array | None) -> float:
+    """Return the largest z'Wz over |z| <= bound (a number) or |z_i| <= bound_i (a vector; an upper bound unless W is diagonal)."""
     if weight.shape[0] == 0:
         return 0.0
     if bound is None:

@@ -25,7 +25,6 @@ ROOTS = {
     "checkers.outcome": "Refused",
     "explorer.server": "ConnectionOver",
     "records.budget": "BudgetSpentError",
-    "certificates.exact.weight_choice": "_WorkExhausted",
     "design.problem.interrupt": "DesignInterrupt",
 }
 """Every exception that the house defines is one of these or inherits from one (a test walks the package)."""

@@ -22,7 +22,7 @@ from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import ENDLESS, Budget, Progress
+from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError, Progress
 from sampling_design.schedules.family import AnySchedule
 
 ETA_RANGE = (0.05, 3.0)  # rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)
@@ -207,7 +207,7 @@ class WeightSearch:
                 options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
             )  # fmt: skip
             steps, status = int(found.nit), str(found.message)
-        except _WorkExhausted:
+        except BudgetSpentError:
             steps, status = 0, "the search has used its work, and ended with the best that it had"
         except (np.linalg.LinAlgError, SolverError, ValueError) as error:
             steps, status = 0, f"the descent ended where windows are lost in rounding ({error})"
@@ -215,10 +215,6 @@ class WeightSearch:
             return start
         T, rate = state.unpack(state.best)
         return ChosenWeights(L @ T @ T.T @ L.T, rate, state.value, steps, status)
-
-
-class _WorkExhausted(Exception):
-    """The search has used its work."""
 
 
 class _WeightVariables:
@@ -255,7 +251,7 @@ class _WeightVariables:
         if self.known[0] == z.tobytes():
             return self.known[1:]
         if self.search.work.over:
-            raise _WorkExhausted
+            raise BudgetSpentError
         self.search.work.spend(STEP_WORK * z.size)
         T, rate = self.unpack(z)
         value, slope = self._constraints(T, rate, z[0])
@@ -461,7 +457,7 @@ def choose_rate(
         rate = float(np.exp(log_rate))
         report(0.5, f"rate {rate:.3g}")
         if work.over:
-            raise _WorkExhausted
+            raise BudgetSpentError
         try:
             problem = window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, rate)
             met[rate] = max(float(WindowSet.of(problem, work).log_lambda(root)[0].max()), 0.0) / rate
@@ -474,5 +470,5 @@ def choose_rate(
         k = int(np.argmin([horizon(rate) for rate in grid]))
         ends = grid[max(k - 1, 0)], grid[min(k + 1, SCAN - 1)]
         return float(np.exp(minimize_scalar(horizon, bounds=ends, options={"xatol": 1e-3}).x))
-    except _WorkExhausted:
+    except BudgetSpentError:
         return min(met, key=lambda rate: met[rate])

@@ -235,7 +235,7 @@ class CostWeights:
         half = np.linalg.solve(both, np.diag(measured.astype(np.float64)))
         found = SampleWeights(root, root.T @ root, R, v, half.T @ (half @ R), half.T)
         one = np.ones(())
-        return found, (_energy(v, one), _energy(found.y, one))
+        return found, (largest_energy(v, one), largest_energy(found.y, one))
 
     def prior_energy(self, bound: Array | None) -> float:
         """Return the largest |e|^2_prior over the bound on e (infinity for None)."""
@@ -294,7 +294,7 @@ def marginal(weight: Array, measured: Mask) -> Array:
 
 
 def largest_energy(weight: Array, bound: Array | None) -> float:
-    """Return the largest z'Wz over |z| <= bound (a number) or |z_i| <= bound_i (a vector; an upper bound unless W is diagonal)."""
+    """Return the largest z'Wz over |z| <= bound (a number), or over |z_i| <= bound_i: no less, unless W is diagonal."""
     if weight.shape[0] == 0:
         return 0.0
     if bound is None:

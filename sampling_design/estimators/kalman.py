@@ -130,21 +130,21 @@ class KalmanFilter(WindowedEstimator):
         terms = before + own
         if too_large(innovation):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
-            found, note = overflowed(self.weights, state.last, sample, residual, terms)
+            verdict, note = overflowed(self.weights, state.last, sample, residual, terms)
             x, Y, beta = self.loop.ahead(last, flow, drift)
-            solved = SolvedSample(x, Y, found._replace(beta=beta), "filter", note)
+            solved = SolvedSample(x, Y, verdict._replace(beta=beta), "filter", note)
             return self.recorder.node(state, new, solved, begun)
         terms += rounding_energy(self.weights, y, x)
-        spread, step, half = root_update(covariance_root(Y), H, innovation)
-        Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
-        cost = float(half @ half)
+        deviation, step, weighted_innovation = root_update(covariance_root(Y), H, innovation)
+        Y, x = freeze(symmetrise(deviation @ deviation.T)), freeze(x + step)
+        cost = float(weighted_innovation @ weighted_innovation)
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
-        found = judged(self.weights, terms, cost * (1 - ROUNDING), last)
-        if found.status == "bounds disproved" and last.stands:
-            found = found._replace(
-                contradiction=self._contradiction(sample, last.number + 1, (half, cost), (terms, own))
+        verdict = judged(self.weights, terms, cost * (1 - ROUNDING), last)
+        if verdict.status == "bounds disproved" and last.stands:
+            verdict = verdict._replace(
+                contradiction=self._contradiction(sample, last.number + 1, (weighted_innovation, cost), (terms, own))
             )
-        solved = SolvedSample(x, Y, found, "filter", cost=past + cost)
+        solved = SolvedSample(x, Y, verdict, "filter", cost=past + cost)
         return self.recorder.node(state, new, solved, begun)
 
     def _with_means(self, state: EstimatorState, new: IncomingNode) -> HistoryNode:
@@ -166,17 +166,17 @@ class KalmanFilter(WindowedEstimator):
             + rounding_energy(self.weights, window.y, window.reference)
         )
         terms += window.total(self.bounds.of_samples(window.masks)) + self._mean_noise_energy(window)
-        found = judged(self.weights, terms, solution.dual, last)
-        if found.status == "bounds disproved" and last.stands:
+        verdict = judged(self.weights, terms, solution.dual, last)
+        if verdict.status == "bounds disproved" and last.stands:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
             mask[0, [output for output, _, _ in means]] = 1.0
             room = float(self.bounds.of_samples(mask)[0]) or terms
             factor = float(np.sqrt((solution.dual - terms + room) / room)) if room > 0 else np.inf
             name = self.plant.outputs.names[means[0][0]]
-            found = found._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
+            verdict = verdict._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
         past = 0.0 if first.sample.y is None else first.estimate.cost * passed
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
-        solved = SolvedSample(x, Y, found, "filter", cost=past + solution.cost)
+        solved = SolvedSample(x, Y, verdict, "filter", cost=past + solution.cost)
         return self.recorder.node(state, new, solved, nodes[0].t)
 
     def _contradiction(
@@ -221,9 +221,9 @@ class KalmanFilter(WindowedEstimator):
         first, last = nodes[0], nodes[-1]
         start = WindowStart(first.t, first.x, first.beta, None, nodes[1:-1])
         window = fresh._window(fresh.state, start, last)
-        found, said = smooth(window), last.estimate
+        smoothed, latest = smooth(window), last.estimate
         at = {t: j for j, t in enumerate(window.times.tolist())}
-        covariances, estimates = found.spread.covariances(), []
+        covariances, estimates = smoothed.spread.covariances(), []
         for k, node in enumerate(nodes[1:], 1):
             j = at[node.t]
             known = min(k + REMEMBERED // 2, len(nodes) - 1)
@@ -233,14 +233,14 @@ class KalmanFilter(WindowedEstimator):
                     known,
                     Estimate(
                         node.t,
-                        freeze(found.nodes[j]),
+                        freeze(smoothed.nodes[j]),
                         freeze(covariances[j]),
-                        said.radius,
-                        said.status,
-                        certified=said.certified,
-                        note=said.note,
-                        cost=said.cost,
-                        engine=found.engine,
+                        latest.radius,
+                        latest.status,
+                        certified=latest.certified,
+                        note=latest.note,
+                        cost=latest.cost,
+                        engine=smoothed.engine,
                         window_start=first.t,
                     ),
                 )

@@ -272,26 +272,26 @@ class MovingHorizonEstimator(WindowedEstimator):
         terms = scaled_bound(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
         if too_large(window.weighted(window.residual)):
             terms += window.total(self._kept_energy(window.masks))
-            found, note = overflowed(self.weights, state.last, sample, window.residual[-1], terms)
+            verdict, note = overflowed(self.weights, state.last, sample, window.residual[-1], terms)
         else:
             terms += rounding_energy(self.weights, window.y, window.reference) + self._mean_noise_energy(window)
             if window.means is not None:
                 terms += rounding_energy(self.weights, window.means.y, window.reference)
             solution = self._solve(window)
             engine, note = solution.engine, solution.note or self._left_out(sample, start)
-            found = SolveVerdict(np.nan, solution.status, last.stands, last.contradiction)
+            verdict = SolveVerdict(np.nan, solution.status, last.stands, last.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
-            if found.status == "ok":
+            if verdict.status == "ok":
                 terms += self._noise_energy(window, solution)
-                found, cost = judged(self.weights, terms, solution.dual, last), solution.cost
-                if found.status == "bounds disproved" and last.stands:
+                verdict, cost = judged(self.weights, terms, solution.dual, last), solution.cost
+                if verdict.status == "bounds disproved" and last.stands:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
-                    found = found._replace(contradiction=self._contradiction(window, terms, solution.dual, numbers))
+                    verdict = verdict._replace(contradiction=self._contradiction(window, terms, solution.dual, numbers))
         if np.isnan(cost):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             self.loop.refuse_overflow(flow, sample.t, Y)
-            found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
-        return SolvedSample(x, Y, found, engine, note, cost)
+            verdict = verdict._replace(beta=beta, sound=verdict.sound and verdict.status == "solver failed")
+        return SolvedSample(x, Y, verdict, engine, note, cost)
 
     def _contradiction(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]

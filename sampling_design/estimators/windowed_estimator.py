@@ -317,10 +317,10 @@ class WindowedEstimator(OnlineEstimator):
                     return None
         terms = scaled_bound(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
-        found = judged(self.weights, terms, optimum.dual, nodes[-1])
-        if found.status == "bounds disproved" and nodes[-1].stands:
+        verdict = judged(self.weights, terms, optimum.dual, nodes[-1])
+        if verdict.status == "bounds disproved" and nodes[-1].stands:
             return None
-        return SolvedSample(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
+        return SolvedSample(optimum.x, optimum.Y, verdict, "banded", "", optimum.cost, optimum.precision)
 
     def _left_out(self, sample: RecordRow, start: WindowStart) -> str:
         """What is said of a mean that began before the window."""

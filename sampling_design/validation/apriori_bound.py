@@ -91,65 +91,65 @@ def apriori_bound_of(
 MOST_TARGETS = 60  # rows at which the worst energy is computed; they are spread evenly where there are more
 
 
-def sensitivity(found: ErrorMap, row: int) -> ErrorSources:
+def sensitivity(error_map: ErrorMap, row: int) -> ErrorSources:
     """Return what the error at a row is made of, by going back from it through the windows in charge.
 
     e(row) = e0 E0' + sum_c E_w,c w_c + sum_j E_v,j v_j.
     """
-    line = found.timeline
+    line = error_map.timeline
     n, q, p = line.plant.n_states, line.plant.n_disturbances, line.plant.n_outputs
     result = ErrorSources(np.zeros((n, n)), np.zeros((line.cells, n, q)), np.zeros((line.samples.size, n, p)))
     place = {int(b): k for k, b in enumerate(line.events)}
-    solves = {window.end: window for window in found.windows}
-    b, after, functional = int(found.rows.at[row]), bool(found.rows.after[row]), np.eye(n)
+    solves = {window.end: window for window in error_map.windows}
+    b, after, functional = int(error_map.rows.at[row]), bool(error_map.rows.after[row]), np.eye(n)
     while True:
         k = place.get(b)
         if after and k in solves:
-            functional = _through_window(found, solves[k], functional, result)
+            functional = _through_window(error_map, solves[k], functional, result)
             if solves[k].given:
                 break
             b = int(line.events[solves[k].start])
             continue
         if b == 0:
             break
-        functional = _through_cell(found, b - 1, functional, result)
+        functional = _through_cell(error_map, b - 1, functional, result)
         b, after = b - 1, True
     result.e0[:] = functional
     return result
 
 
-def _through_cell(found: ErrorMap, c: int, functional: Array, result: ErrorSources) -> Array:
-    result.w[c] -= functional @ found.timeline.gamma[c]
-    return np.asarray(functional @ found.timeline.F[c])
+def _through_cell(error_map: ErrorMap, c: int, functional: Array, result: ErrorSources) -> Array:
+    result.w[c] -= functional @ error_map.timeline.gamma[c]
+    return np.asarray(functional @ error_map.timeline.F[c])
 
 
-def _through_window(found: ErrorMap, window: SolveWindow, functional: Array, result: ErrorSources) -> Array:
-    events = found.timeline.events
+def _through_window(error_map: ErrorMap, window: SolveWindow, functional: Array, result: ErrorSources) -> Array:
+    events = error_map.timeline.events
     for k in range(window.end, window.start - 1, -1):
         absorb = window.absorbs.get(k)
         if absorb is not None:
             j = absorb.sample
-            result.v[j] += functional @ absorb.gain @ found.weigh[j]
-            functional = functional - functional @ absorb.gain @ found.H[j]
+            result.v[j] += functional @ absorb.gain @ error_map.weigh[j]
+            functional = functional - functional @ absorb.gain @ error_map.H[j]
         if k > window.start:
             for c in range(events[k] - 1, events[k - 1] - 1, -1):
-                functional = _through_cell(found, c, functional, result)
+                functional = _through_cell(error_map, c, functional, result)
     return functional
 
 
-def worst_energy(found: ErrorMap, apriori: AprioriBound) -> tuple[float, int, ErrorSources]:
+def worst_energy(error_map: ErrorMap, apriori: AprioriBound) -> tuple[float, int, ErrorSources]:
     """Return the worst ratio of |e|^2 to what is promised, over all e0, v and w constant on cells; its row and inputs.
 
         max e'P e / (|e0|^2 + int |w|^2 + sum |v|^2, each discounted)  =  lambda_max(P^1/2 (sum E D^-1 E') P^1/2)
 
     At most MOST_TARGETS rows are looked at, always the last ones before and after a sample among them.
     """
-    ends = np.sort(np.concatenate([found.rows.samples, found.rows.samples - 1]))
+    ends = np.sort(np.concatenate([error_map.rows.samples, error_map.rows.samples - 1]))
     chosen = ends[np.unique(np.linspace(0, ends.size - 1, min(MOST_TARGETS, ends.size)).astype(int))]
     best: tuple[float, int, Array, ErrorSources] | None = None
     for row in chosen:
-        parts = sensitivity(found, int(row))
-        terms = _bound_terms(found, apriori, int(row), parts)
+        parts = sensitivity(error_map, int(row))
+        terms = _bound_terms(error_map, apriori, int(row), parts)
         total = sum(np.einsum("kab,kbc,kdc->ad", E, D, E) for E, D in terms)
         values, vectors = np.linalg.eigh(apriori.root @ total @ apriori.root.T)
         if best is None or values[-1] > best[0]:
@@ -157,14 +157,16 @@ def worst_energy(found: ErrorMap, apriori: AprioriBound) -> tuple[float, int, Er
     assert best is not None
     ratio, row, direction, parts = best
     e0, w, v = (
-        D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _bound_terms(found, apriori, row, parts)
+        D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _bound_terms(error_map, apriori, row, parts)
     )
     return ratio, row, ErrorSources(e0[..., 0], *(part[None, ..., 0] for part in (w, v)))
 
 
-def _bound_terms(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
+def _bound_terms(
+    error_map: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources
+) -> list[tuple[Array, Array]]:
     """Each part, a stack of matrices, with the inverses of its weights in the promise at that row."""
-    line, t = found.timeline, found.rows.times[row]
+    line, t = error_map.timeline, error_map.rows.times[row]
     inside, rate = line.times[1:] <= t * (1 + 1e-15), apriori.rate
     faded = np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted_length(rate, line.lengths)
     cost = np.where(inside, faded, np.inf)
@@ -179,17 +181,17 @@ def _bound_terms(found: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorS
     ]
 
 
-def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> ErrorSources:
+def worst_disturbance(error_map: ErrorMap, bounds: ScenarioBounds, root: Array) -> ErrorSources:
     """Return the inputs within the bounds that make the last error largest, along each axis of |root e|, both ends.
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.
     """
-    rows = [int(found.rows.samples[-1]), int(found.rows.at.size - 1)]
+    rows = [int(error_map.rows.samples[-1]), int(error_map.rows.at.size - 1)]
     runs = []
     for row in rows:
-        parts = sensitivity(found, row)
+        parts = sensitivity(error_map, row)
         for axis in root:
             aims = [np.swapaxes(E, -1, -2) @ axis for E in parts]
             runs.append([most_along(b, aim) for b, aim in zip((bounds.e0, bounds.w, bounds.v), aims, strict=True)])
     e0, w, v = (np.array(part) for part in zip(*runs, strict=True))
-    return ErrorSources(e0, w, v * found.timeline.masks)
+    return ErrorSources(e0, w, v * error_map.timeline.masks)

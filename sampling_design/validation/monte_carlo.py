@@ -35,25 +35,29 @@ class MonteCarloTrials(NamedTuple):
 
 
 def run_block(
-    found: ErrorMap,
+    error_map: ErrorMap,
     bounds: ScenarioBounds,
     apriori: AprioriBound | None,
     measure: Array,
     seeds: Sequence[np.random.SeedSequence],
 ) -> MonteCarloTrials:
     """Draw runs with these seeds, apply one error map and compare."""
-    return measured(found, apriori, measure, draw_inputs(found.timeline, bounds, seeds))
+    return measured(error_map, apriori, measure, draw_inputs(error_map.timeline, bounds, seeds))
 
 
-def measured(found: ErrorMap, apriori: AprioriBound | None, measure: Array, inputs: ErrorSources) -> MonteCarloTrials:
+def measured(
+    error_map: ErrorMap, apriori: AprioriBound | None, measure: Array, inputs: ErrorSources
+) -> MonteCarloTrials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
-    errors = found.apply(inputs)
+    errors = error_map.apply(inputs)
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
     promised = np.full(size.shape[0], np.nan)
     if apriori is not None:
-        promised = np.max(ratio(apriori.size(errors.e), apriori.along(found.timeline, found.rows, inputs)), axis=1)
+        promised = np.max(
+            ratio(apriori.size(errors.e), apriori.along(error_map.timeline, error_map.rows, inputs)), axis=1
+        )
     plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
-    return MonteCarloTrials(size, promised, found.ellipsoid_ratio(errors), plain)
+    return MonteCarloTrials(size, promised, error_map.ellipsoid_ratio(errors), plain)
 
 
 def ratio(observed: Array, promised: Array) -> Array:
@@ -63,7 +67,7 @@ def ratio(observed: Array, promised: Array) -> Array:
 
 
 def monte_carlo(
-    found: ErrorMap,
+    error_map: ErrorMap,
     bounds: ScenarioBounds,
     apriori: AprioriBound | None,
     measure: Array,
@@ -96,9 +100,9 @@ def monte_carlo(
     known = {} if journal is None else journal.known
     parts = {k: known[f"{name} {k}"] for k in range(len(blocks)) if f"{name} {k}" in known}
     for k, part in parts.items():
-        _fits(part, len(blocks[k]), found.rows.times.size, str(journal and journal.path))
+        _fits(part, len(blocks[k]), error_map.rows.times.size, str(journal and journal.path))
     todo = [k for k in range(len(blocks)) if k not in parts]
-    run = partial(run_block, found, bounds, apriori, measure)
+    run = partial(run_block, error_map, bounds, apriori, measure)
     for place, part in numbered(run, [blocks[k] for k in todo], workers):
         k = todo[place]
         parts[k] = part

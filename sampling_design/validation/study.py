@@ -201,10 +201,10 @@ class ValidationStudy:
         worst = worst_disturbance(self.map, self.bounds, self.measure)
         self._judge("worst disturbance", measured(self.map, self.apriori, self.measure, worst), "attained")
 
-    def _worst_energy(self, found: ErrorMap, apriori: AprioriBound, scenario: str = "worst energy") -> None:
-        largest, row, inputs = worst_energy(found, apriori)
-        again = measured(found, apriori, apriori.root, inputs)
-        note = f"worst at {moment(found.rows.times[row])}; run forward: {short(again.promised[0])}"
+    def _worst_energy(self, error_map: ErrorMap, apriori: AprioriBound, scenario: str = "worst energy") -> None:
+        largest, row, inputs = worst_energy(error_map, apriori)
+        again = measured(error_map, apriori, apriori.root, inputs)
+        note = f"worst at {moment(error_map.rows.times[row])}; run forward: {short(again.promised[0])}"
         observed = max(largest, float(again.promised[0]))
         self._find("a-priori bound", scenario, 1.0, observed, source=apriori.theorem, strength="attained", note=note)
 
@@ -231,10 +231,10 @@ class ValidationStudy:
             return
         estimator = self.estimator(cost=CostFunction(form="paper"))
         line = self._timeline(self.duration, float(estimator.horizon))
-        found = build_error_map(line, estimator, self.bounds)
+        error_map = build_error_map(line, estimator, self.bounds)
         apriori = apriori_bound_of(self._certified, float(estimator.horizon), "paper")
         trials = monte_carlo(
-            found,
+            error_map,
             self.bounds,
             apriori,
             apriori.root,
@@ -253,8 +253,10 @@ class ValidationStudy:
             source=apriori.theorem,
             note=_median_text(trials),
         )
-        self._worst_energy(found, apriori, "worst energy, the paper's cost")
-        self._ellipsoids("random noise, the paper's cost", trials.ellipsoid, trials.ellipsoid[:, found.rows.samples])
+        self._worst_energy(error_map, apriori, "worst energy, the paper's cost")
+        self._ellipsoids(
+            "random noise, the paper's cost", trials.ellipsoid, trials.ellipsoid[:, error_map.rows.samples]
+        )
 
     def _short(self) -> tuple[Timeline, ErrorMap]:
         """The timeline and map of the first samples, for runs of the real estimator."""
@@ -264,38 +266,40 @@ class ValidationStudy:
         return line, build_error_map(line, self.estimator(), self.bounds)
 
     def _estimator(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        line, found = self._short()
+        line, error_map = self._short()
         inputs = draw_inputs(line, self.bounds, seeds[:REAL_RUNS])
-        plant, expected = driven(self.plant), found.apply(inputs).e
+        plant, expected = driven(self.plant), error_map.apply(inputs).e
         runs: list[EstimatedRun] = []
         for k in range(inputs.e0.shape[0]):
             truth = true_run(line, inputs, k)
-            runs.append(real_run(line, found.rows, truth, self.estimator(plant if truth.u is not None else None)))
+            runs.append(real_run(line, error_map.rows, truth, self.estimator(plant if truth.u is not None else None)))
             tell((k + 1) / inputs.e0.shape[0], f"run {k + 1}")
-        errors = np.array([run.errors(found.rows) for run in runs])
+        errors = np.array([run.errors(error_map.rows) for run in runs])
         self._agree("real estimator", errors, expected)
-        self._estimates_keep_promises("real estimator", runs, found)
-        self.example = ExampleRun(found.rows.times, errors[0], np.array([e.ellipsoid_radii for e in runs[0].estimates]))
+        self._estimates_keep_promises("real estimator", runs, error_map)
+        self.example = ExampleRun(
+            error_map.rows.times, errors[0], np.array([e.ellipsoid_radii for e in runs[0].estimates])
+        )
 
     def _agree(self, scenario: str, errors: Array, expected: Array) -> None:
         size = float(np.max(np.linalg.norm(expected @ self.measure.T, axis=2)))
         away = float(np.max(np.linalg.norm((errors - expected) @ self.measure.T, axis=2)))
         self._find("difference to the linear error map", scenario, AGREEMENT, away / size if size else away)
 
-    def _estimates_keep_promises(self, scenario: str, runs: list[EstimatedRun], found: ErrorMap) -> None:
+    def _estimates_keep_promises(self, scenario: str, runs: list[EstimatedRun], error_map: ErrorMap) -> None:
         ratios = np.array(
-            [[e.ratio(x) for e, x in zip(r.estimates, r.truth.states[found.rows.at], strict=True)] for r in runs]
+            [[e.ratio(x) for e, x in zip(r.estimates, r.truth.states[error_map.rows.at], strict=True)] for r in runs]
         )
-        self._ellipsoids(scenario, ratios, ratios[:, found.rows.samples])
+        self._ellipsoids(scenario, ratios, ratios[:, error_map.rows.samples])
         proven = float(np.mean([e.certified for r in runs for e in r.estimates]))
         failed = [e.note for r in runs for e in r.estimates if e.failed]
         note = failed[0] if failed else ""
         self._find("share of proven estimates", scenario, 1.0, proven, "at least", note=note)
 
     def _constraints(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        line, found = self._short()
+        line, error_map = self._short()
         inputs = draw_inputs(line, self.bounds, seeds[:REAL_RUNS])
-        plant, expected = driven(self.plant), found.apply(inputs).e
+        plant, expected = driven(self.plant), error_map.apply(inputs).e
         for label, room in (("inactive constraints", ROOMY), ("active constraints", 0.0)):
             runs = []
             for k in range(inputs.e0.shape[0]):
@@ -303,21 +307,21 @@ class ValidationStudy:
                 chosen = self.estimator(
                     plant if truth.u is not None else None, constraints=Constraints(x=extent(truth, room))
                 )
-                runs.append(real_run(line, found.rows, truth, chosen))
-            errors = np.array([run.errors(found.rows) for run in runs])
+                runs.append(real_run(line, error_map.rows, truth, chosen))
+            errors = np.array([run.errors(error_map.rows) for run in runs])
             if room:
                 self._agree(label, errors, expected)
             elif self.apriori is not None:
-                promised = self.apriori.along(line, found.rows, inputs)
+                promised = self.apriori.along(line, error_map.rows, inputs)
                 worst = float(np.max(ratio(self.apriori.size(errors), promised)))
-                note = f"a constraint was active in {short(100 * _active(runs, found), 3)} % of the solves"
+                note = f"a constraint was active in {short(100 * _active(runs, error_map), 3)} % of the solves"
                 self._find("a-priori bound", label, 1.0, worst, source=self.apriori.theorem, note=note)
-            self._estimates_keep_promises(label, runs, found)
+            self._estimates_keep_promises(label, runs, error_map)
             tell(0.5, label)
 
 
-def _active(runs: list[EstimatedRun], found: ErrorMap) -> float:
-    solves = [run.estimates[row] for run in runs for row in found.rows.samples]
+def _active(runs: list[EstimatedRun], error_map: ErrorMap) -> float:
+    solves = [run.estimates[row] for run in runs for row in error_map.rows.samples]
     return float(np.mean([e.engine not in CLOSED_FORM for e in solves]))
 
 

@@ -29,7 +29,7 @@ class SolvedSample(NamedTuple):
 
     x: Array
     Y: Array
-    found: SolveVerdict
+    verdict: SolveVerdict
     engine: str = ""
     note: str = ""
     cost: float = np.nan
@@ -101,11 +101,11 @@ class Recorder:
         self, state: EstimatorState, new: IncomingNode, solved: SolvedSample, start: float, scheduled: bool = False
     ) -> HistoryNode:
         """Return the node of a sample, whose window began at `start`, with its estimate; rounding widens the radius."""
-        last, flow, drift, (x, Y, found, engine, note, cost, precision) = state.nodes[-1], new.flow, new.drift, solved
+        last, flow, drift, (x, Y, verdict, engine, note, cost, precision) = state.nodes[-1], new.flow, new.drift, solved
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
         size, condition = in_units_of(Y, led, precision)
         loose = max(last.loose, flow.loose)
-        beta, status, sound, contradiction = found
+        beta, status, sound, contradiction = verdict
         beta = beta * (1 + PROPAGATED * condition + loose) + moved(beta, size)
         estimate = self.estimate(
             new.t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note,

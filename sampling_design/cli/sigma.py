@@ -19,7 +19,7 @@ from sampling_design.cli.options import (
     timing_in_numbers,
 )
 from sampling_design.cli.settings import Settings
-from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.zero_count import default_window
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive

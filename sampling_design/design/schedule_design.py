@@ -14,9 +14,8 @@ from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
-from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.pbh import unobservable_modes
-from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
+from sampling_design.observability.count.zero_count import ZeroCountBound, default_window, zero_count_bound
 from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_in
 from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.windows.window_sigma import deviations_of, window_sigma

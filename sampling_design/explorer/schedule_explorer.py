@@ -36,7 +36,7 @@ from sampling_design.records.units import readable_unit
 from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.schedules.sensor import numbers
+from sampling_design.schedules.sensor import complement, numbers
 
 Reply = dict[str, Plain]
 
@@ -249,8 +249,7 @@ class ScheduleExplorer:
         term = self.requirement.sensors.get(self.plant.outputs.names[sensor])
         if term is None or term.available is None:
             return []
-        edges = np.array([0.0, *np.ravel(numbers(term)), self.period])
-        return [(float(a), float(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+        return [(a, b) for a, b in complement(numbers(term), self.period).tolist()]
 
     def _sigma(self, moving: bool = False) -> Reply:
         messages = self._rules()

@@ -9,6 +9,6 @@ _NAMES = {
     "mhe": ("NonlinearMovingHorizonEstimator",),
     "model": ("NonlinearPlant", "from_linear"),
     "report": ("ThyroidReport",),
-    "time_varying": ("plant_along",),
+    "simulation": ("plant_along",),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("examples", "thyroid", "thyroid_logs"))

@@ -10,4 +10,4 @@ from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator as Non
 from sampling_design.nonlinear.model import NonlinearPlant as NonlinearPlant
 from sampling_design.nonlinear.model import from_linear as from_linear
 from sampling_design.nonlinear.report import ThyroidReport as ThyroidReport
-from sampling_design.nonlinear.time_varying import plant_along as plant_along
+from sampling_design.nonlinear.simulation import plant_along as plant_along

@@ -280,7 +280,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 f"The discretisation costs {answer.error:.2g} standard deviations of the estimate, also with degree "
                 f"{self.search.degree} and pieces of {self.search.w_step:.3g}: choose a shorter horizon or w_step."
             )
-        square = self._bound(state, data, answer, start, counted == sample.t)
+        square = self._bound(data, answer, start, counted == sample.t)
         note = " ".join(filter(None, (*words, rejected_note)))
         return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
@@ -313,9 +313,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         note = f"Left out as an outlier: {names} (beyond {gate:.3g} standard deviations of the prediction)."
         return sample._replace(y=freeze(np.where(far, np.nan, sample.y))), note
 
-    def _bound(
-        self, state: EstimatorState, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool
-    ) -> float:
+    def _bound(self, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool) -> float:
         """Return the bound on V at the window's end, after the fact."""
         error_bound, solution = self.error_bound, answer.solution
         if error_bound is None or error_bound.trouble or answer.slopes is None:

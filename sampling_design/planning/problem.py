@@ -207,7 +207,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     late = _tolerance(requirement, unit, plant, steps * step)
     used = [steps if t.longest_use is None else t.longest_use for t in terms]
     goals = tuple(_goals(plant, requirement, unit, step))
-    _check_bounds(plant, requirement, terms, goals)
+    _check_bounds(requirement, terms, goals)
     bound = np.array([t.sure_bound for t in terms])
     vague = [t.noise_deviation is None or t.detection_limit is not None for t in terms]
     deviation = np.array([np.inf if so else t.noise_deviation for so, t in zip(vague, terms, strict=True)])
@@ -238,13 +238,11 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
         initial=InitialSet.of(plant, requirement.initial_error),
         timing_tolerance=late,
-        result_delays=_delays(requirement, terms, unit, plant, goals),
+        result_delays=_delays(terms, unit, plant, goals),
     )
 
 
-def _delays(
-    requirement: PlanRequirement, terms: list[Sensor], unit: str, plant: Plant, goals: tuple[RowGoal, ...]
-) -> Array | None:
+def _delays(terms: list[Sensor], unit: str, plant: Plant, goals: tuple[RowGoal, ...]) -> Array | None:
     """How long results are out at least and at most (p, 2), in the plant's time unit; None where all come at once."""
     factor = time_factor(unit, plant.time_unit)
     found = np.zeros((len(terms), 2))
@@ -367,7 +365,7 @@ def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -
     return found
 
 
-def _check_bounds(plant: Plant, requirement: PlanRequirement, terms: list[Sensor], goals: tuple[RowGoal, ...]) -> None:
+def _check_bounds(requirement: PlanRequirement, terms: list[Sensor], goals: tuple[RowGoal, ...]) -> None:
     """Refuse goals whose bounds are missing."""
     if not goals:
         raise ArgumentError(

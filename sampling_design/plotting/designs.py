@@ -22,7 +22,7 @@ from sampling_design.records.record import counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.schedules.sensor import numbers
+from sampling_design.schedules.sensor import complement, numbers
 
 MEMBERS = 6  # members of a family that are drawn below its nominal one
 GAPS_SHOWN = 8  # longest gaps that the picture of a family is wide
@@ -217,11 +217,8 @@ def draw_window_sigma(
     """
     ax = style.new_axes(ax)
     profile = result.profile
-    label: str | None = "sigma of the window"
-    for index in np.unique(profile.piece):
-        here = profile.piece == index
-        ax.plot(profile.t[here], profile.sigma[here], color=style.MEASURED, linewidth=2.2, label=label)
-        label = None
+    curve = style.by_pieces(profile.t, profile.sigma, profile.piece)
+    ax.plot(*curve, color=style.MEASURED, linewidth=2.2, label="sigma of the window")
     ax.axhline(
         result.lower, color=style.PROVEN, linewidth=1.2, label=f"proven for every position: {short(result.lower, 4)}"
     )
@@ -281,11 +278,11 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
 
 def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> Axes:
     draw_schedule(schedule, ax)
-    everybody = [(float(a), float(b)) for a, b in result.requirement.forbidden]
+    everybody = result.requirement.forbidden.tolist()
     grey = False
     for k, name in enumerate(result.plant.outputs.names if schedule.outputs is not None else ("",)):
         term = result.requirement.sensors.get(name)
-        own = [] if term is None or term.available is None else closed(numbers(term), schedule.period)
+        own = [] if term is None or term.available is None else complement(numbers(term), schedule.period).tolist()
         spans = _joined(everybody + own)
         style.shut(ax, k, [(cycle + a, cycle + b) for cycle in (0.0, schedule.period) for a, b in spans])
         grey |= bool(spans)
@@ -303,9 +300,3 @@ def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
         else:
             found.append((start, stop))
     return found
-
-
-def closed(available: Array, period: float) -> list[tuple[float, float]]:
-    """What lies between the opening hours of a period."""
-    edges = [0.0, *np.ravel(available).tolist(), period]
-    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]

@@ -17,7 +17,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, readable_unit
 from sampling_design.schedules.time_stamps import date_after, parse_date, passed
@@ -70,6 +70,12 @@ def new_figure(
         rows, 1, squeeze=False, gridspec_kw={"height_ratios": ratios or (1.0,) * rows}, subplot_kw={"axes_class": Axes}
     )
     return figure, Panels(row[0] for row in axes)
+
+
+def by_pieces(t: Array, value: Array, piece: Index) -> tuple[Array, Array]:
+    """Return a curve with a gap wherever one of its pieces ends."""
+    breaks = np.flatnonzero(np.diff(piece)) + 1
+    return np.insert(t, breaks, np.nan), np.insert(value, breaks, np.nan)
 
 
 def one_time_axis(panels: Iterable[matplotlib.axes.Axes]) -> None:

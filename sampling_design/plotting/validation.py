@@ -90,13 +90,10 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         (log.planned_sigma, style.ALLOWED, 3.5, "planned"),
         (log.actual_sigma, style.MEASURED, 1.3, "actual"),
     ):
-        label: str | None = f"{name}: at least {short(sigma.lower, 4)}"
-        in_view = (low <= sigma.profile.t) & (sigma.profile.t <= high)
-        t, value, piece = sigma.profile.t[in_view], sigma.profile.sigma[in_view], sigma.profile.piece[in_view]
-        for index in np.unique(piece):
-            here = piece == index
-            bottom.plot(t[here], value[here], color=colour, linewidth=width, label=label)
-            label = None
+        profile, label = sigma.profile, f"{name}: at least {short(sigma.lower, 4)}"
+        in_view = (low <= profile.t) & (profile.t <= high)
+        curve = style.by_pieces(profile.t[in_view], profile.sigma[in_view], profile.piece[in_view])
+        bottom.plot(*curve, color=colour, linewidth=width, label=label)
     style.from_below(bottom, 0.0, bottom.get_ylim()[1] / 1.08)
     style.time_axis(bottom, log.time_unit, "end of the window")
     bottom.set_ylabel("sigma (state at window's start)")

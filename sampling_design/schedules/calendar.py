@@ -353,9 +353,8 @@ def _utc(date: datetime) -> str:
 
 
 def _escaped(text: str) -> str:
-    for plain, escaped in (("\\", "\\\\"), (";", "\\;"), (",", "\\,"), ("\r\n", "\\n"), ("\n", "\\n"), ("\r", "\\n")):
-        text = text.replace(plain, escaped)
-    return text
+    escaped = str.maketrans({"\\": "\\\\", ";": "\\;", ",": "\\,", "\n": "\\n", "\r": "\\n"})
+    return text.replace("\r\n", "\n").translate(escaped)
 
 
 def _folded(line: str) -> str:

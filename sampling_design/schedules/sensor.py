@@ -237,9 +237,9 @@ def numbers(sensor: Sensor) -> Array:
     return sensor.available
 
 
-def opened(closed: Array, period: float) -> Array:
-    """What closed stretches (m, 2) leave open of a period."""
-    edges = np.array([0.0, *np.ravel(closed), period]).reshape(-1, 2)
+def complement(spans: Array, period: float) -> Array:
+    """What stretches (m, 2) of a period leave of it."""
+    edges = np.array([0.0, *np.ravel(spans), period]).reshape(-1, 2)
     return np.asarray(edges[edges[:, 1] > edges[:, 0]])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, certify, read_plant
-from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.zero_count import default_window
 from sampling_design.plants.modes import split_modes
 from tests import kept_certificates
 

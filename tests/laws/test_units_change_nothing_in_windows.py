@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, SpacedWindows, window_sigma, worst_case_sigma
-from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.zero_count import default_window
 from sampling_design.observability.windows.sampled import observability_gramian, observability_matrix, sigma_min
 from sampling_design.plants.modes import split_modes
 from tests.rescale import Units

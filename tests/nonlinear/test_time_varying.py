@@ -9,7 +9,7 @@ from scipy.linalg import expm
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear.model import NonlinearPlant, from_linear
-from sampling_design.nonlinear.time_varying import plant_along
+from sampling_design.nonlinear.simulation import plant_along
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
 A, C, G = np.array([[0.1, 1.0], [-2.0, -0.3]]), np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]])

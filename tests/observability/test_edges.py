@@ -16,8 +16,8 @@ from sampling_design import (
     zero_count_bound,
 )
 from sampling_design.certificates.existence.counterexample import find_counterexample
-from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.observability.count.zero_count import default_window
 from sampling_design.observability.windows.sampled import observability_gramian
 from sampling_design.plants.modes import split_modes
 from tests.counted_clock import Counted

@@ -106,7 +106,7 @@ def test_a_log_shows_both_rows_of_times_and_both_sigmas():
     assert [s[0][0] for s in actual] == list(log.actual.times)
     assert "1 missed, 1 not planned" in top.get_title(loc="left")
     drawn = np.concatenate([line.get_ydata() for line in bottom.lines])
-    assert drawn.min() >= 0.0
+    assert np.nanmin(drawn) >= 0.0
     labels = [t.get_text() for t in bottom.get_legend().get_texts()]
     assert labels[1] == f"actual: at least {log.actual_sigma.lower:.4g}"
     short = sd.compare_schedule(PLANT, sd.PeriodicSchedule([1.0]), [1.0, 2.0], window=9.0)

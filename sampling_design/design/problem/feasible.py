@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,8 @@ _SHARE = 1 - 1e-3  # of the room that is just enough: a schedule with no freedom
 Change = dict[str, Any]  # arguments of a problem and what they become: each has a type of its own
 
 
-class InfeasibleConstraint(NamedTuple):
-    """Which constraint is in the way, in words, and single changes of the problem that may get it out."""
-
-    name: str
-    words: str
-    changes: tuple[Change, ...]
+InfeasibleConstraint = tuple[str, str, tuple[Change, ...]]
+"""Which constraint is in the way, in words, and single changes of the problem that may get it out."""
 
 
 def check_feasible(problem: DesignProblem) -> None:
@@ -30,13 +26,14 @@ def check_feasible(problem: DesignProblem) -> None:
     if found is None:
         return
     nearest: Change = {}
-    for change in found.changes:
+    name, obstructed, changes = found
+    for change in changes:
         whole = _completed(problem, change)
         if whole is not None and obstacle(changed(problem, {**nearest, **whole})) is None:
             nearest |= whole
     words = " or ".join(_said(key, value) for key, value in nearest.items())
     tail = f" The nearest that works: {words}." if words else ""
-    raise InfeasibleRequirementError(found.words + tail, found.name, nearest)
+    raise InfeasibleRequirementError(obstructed + tail, name, nearest)
 
 
 def changed(problem: DesignProblem, change: Change) -> DesignProblem:
@@ -63,7 +60,7 @@ def _completed(problem: DesignProblem, change: Change) -> Change | None:
         found = obstacle(changed(problem, change))
         if found is None:
             return change
-        more = next((c for c in found.changes if not set(c) & set(change)), None)
+        more = next((c for c in found[2] if not set(c) & set(change)), None)
         if more is None:
             return None
         change = {**change, **more}
@@ -86,7 +83,7 @@ def _fixed(problem: DesignProblem) -> InfeasibleConstraint | None:
     if closed.size:
         t = float(fixed[int(closed[0])])
         words = f"`fixed` time {t:g} is forbidden or no output is available then. Remove it or open that time."
-        return InfeasibleConstraint("fixed", words, ({"fixed": np.delete(fixed, closed)},))
+        return ("fixed", words, ({"fixed": np.delete(fixed, closed)},))
     gaps = np.diff(np.append(fixed, fixed[0] + period))
     if gaps.min() < eps * (1 - SLACK):
         i = int(np.argmin(gaps))
@@ -94,10 +91,10 @@ def _fixed(problem: DesignProblem) -> InfeasibleConstraint | None:
             f"`fixed` times {fixed[i]:g} and {fixed[(i + 1) % fixed.size]:g} lie {gaps[i]:g} apart, closer than "
             f"`spacing` {eps:g}."
         )
-        return InfeasibleConstraint("fixed", words, ({"spacing": _rounded_down(float(gaps[i]))},))
+        return ("fixed", words, ({"spacing": _rounded_down(float(gaps[i]))},))
     if fixed.size > problem.samples:
         words = f"`fixed` names {fixed.size} times, `samples` allows {problem.samples}."
-        return InfeasibleConstraint("fixed", words, ({"samples": int(fixed.size)},))
+        return ("fixed", words, ({"samples": int(fixed.size)},))
     return None
 
 
@@ -109,7 +106,7 @@ def _room(problem: DesignProblem) -> InfeasibleConstraint | None:
     opened = _opened(problem)
     if not problem.intervals.size:
         words = "`forbidden` and the outputs' availability leave no time to sample at all."
-        return InfeasibleConstraint("forbidden", words, opened)
+        return ("forbidden", words, opened)
     widest = _widest_spacing(problem)
     limited = int(np.floor(period / eps * (1 + SLACK))) > room
     what = "`forbidden` and `fixed` times leave" if limited else f"`spacing` {eps:g} leaves"
@@ -118,9 +115,7 @@ def _room(problem: DesignProblem) -> InfeasibleConstraint | None:
         *(({"samples": room},) if room else ()),
         *(({"spacing": widest},) if widest > 0 else ()),
     )
-    return InfeasibleConstraint(
-        "forbidden" if limited else "spacing", words, (*changes, *(opened if widest == 0 else ()))
-    )
+    return ("forbidden" if limited else "spacing", words, (*changes, *(opened if widest == 0 else ())))
 
 
 def fewest_samples(problem: DesignProblem) -> int:
@@ -144,7 +139,7 @@ def _too_few(problem: DesignProblem) -> InfeasibleConstraint | None:
         f"`samples` {k} per period {period:g} leave some window {window:g} with {per_window} samples, and "
         f"{problem.plant.n_states} states with {problem.plant.n_outputs} outputs need at least {least}."
     )
-    return InfeasibleConstraint("samples", words, ({"samples": needed},))
+    return ("samples", words, ({"samples": needed},))
 
 
 def _too_dear(problem: DesignProblem) -> InfeasibleConstraint | None:
@@ -157,7 +152,7 @@ def _too_dear(problem: DesignProblem) -> InfeasibleConstraint | None:
     affordable = int(problem.cost_limit / least * (1 + SLACK))
     words = f"`cost_limit` {problem.cost_limit:g} is less than {problem.samples} of the cheapest measurements cost."
     fewer: tuple[Change, ...] = ({"samples": affordable},) if affordable else ()
-    return InfeasibleConstraint("cost_limit", words, (*fewer, {"cost_limit": cheapest}))
+    return ("cost_limit", words, (*fewer, {"cost_limit": cheapest}))
 
 
 def _widest_spacing(problem: DesignProblem) -> float:

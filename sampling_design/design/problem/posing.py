@@ -10,9 +10,8 @@ from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.functional import part_for
-from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
+from sampling_design.observability.count.zero_count import ZeroCountBound, default_window, zero_count_bound
 from sampling_design.observability.sigma_bracket import SHARE
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.plants.modes import ModalSplit
@@ -24,7 +23,7 @@ from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS, time_factor
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.opening import DAYS, WeekHours, week_hours
-from sampling_design.schedules.sensor import Sensor, common, numbers, opened, result_span
+from sampling_design.schedules.sensor import Sensor, common, complement, numbers, result_span
 
 MOST_DEFAULT_SAMPLES = 24
 """Samples of a period that are taken unasked, at most: more take minutes."""
@@ -144,7 +143,7 @@ def _open(requirement: Requirement, name: str) -> Array | None:
     if term.hours is None:
         return windows
     shut = _shut(requirement, week_hours("hours", term.hours))
-    return common(windows, opened(shut, _known(requirement.period)))
+    return common(windows, complement(shut, _known(requirement.period)))
 
 
 def _shut(requirement: Requirement, own: WeekHours | None) -> Array:

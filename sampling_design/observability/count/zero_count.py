@@ -12,12 +12,13 @@ from sampling_design.observability.count.critical_length import search
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
+from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import PlainRecord, short
-from sampling_design.records.signatures import open_verb
+from sampling_design.records.signatures import checked, open_verb
 
 ROUNDING_GUARD = 1e-9
 """k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
@@ -240,3 +241,26 @@ def _least(plant: Plant) -> int:
             rank = observable_rank(plant, list(measured)) if measured else 0
             least = max(least, -(-(n - rank) // (p - size)))
     return least
+
+
+@checked
+def default_window(split: ModalSplit) -> float | None:
+    """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
+
+        T = 2 pi / min |Im lambda| over the non-zero ones,    else T = 4/|A_retained|, in scaled coordinates
+
+    Parameters
+    ----------
+    split : ModalSplit
+
+    Returns
+    -------
+    float or None
+        In the plant's time unit; None where the retained part neither oscillates nor moves.
+    """
+    rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
+    rates = rates[rates > 0]
+    norm = float(np.linalg.norm(split.retained.scaled().A, 2)) if split.retained.n_states else 0.0
+    if rates.size:
+        return float(2 * np.pi / rates.min())
+    return 4 / norm if norm else None

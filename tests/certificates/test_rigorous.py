@@ -439,6 +439,15 @@ def test_a_long_run_that_settles_over_thousands_of_periods_is_found():
     assert worst == pytest.approx((F * Y + W) * unit, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("A", "gap", "P2"), [([[-0.3, 11.0], [-1.6, -0.3]], 0.75, 0.3), ([[-0.5, 7.5], [-9.0, -0.5]], 1.0, 6.0)]
+)
+def test_a_long_run_whose_peak_lies_between_samples_is_proven(A, gap, P2):
+    """Whatever samples leave of room, a family that is blown up at all has none left at its peak."""
+    data = certify(Plant(A, [[1.0, 0.0]]), PeriodicSchedule([gap]), eta=0.8, P2=P2 * np.eye(2)).to_dict()
+    assert verify_rigorously(data).passed
+
+
 def test_a_long_run_that_never_comes_near_itself_is_no_family(made):
     c = content(made("oscillator").to_dict())
     with balls.precision(), pytest.raises(ArithmeticError, match="the recursion does not settle"):

@@ -35,7 +35,8 @@ PROPOSALS = {BITS: (1e-14, 1e-10, 1e-6, 1e-3), 400: (1e-44, 1e-38, 1e-32, 1e-26,
 Little of it comes first: more of it fills fast directions, where Y must then be followed in short steps. Nearly equal
 modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
 """
-POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)  # how far the family is blown up towards I, as powers of what is left
+POWERS = (0.95, 0.8, 0.5, 0.2, 0.02, 0.0)
+"""How far the family is blown up towards I, as powers of what samples leave: not at all where the peak lies between."""
 
 Period = tuple[Matrix, Matrix, Matrix]
 """A, H, W of the map Y -> A Y (I + H Y)^-1 A' + W that samples and gaps make; midpoints."""

@@ -207,11 +207,12 @@ class Flow:
 def flows(c: Inclusion, P: Array, Qw: Array, work: WorkLimit) -> float:
     """Prove 1; return the least slack."""
     flow = Flow(c, *pieces(c, P), Qw)
-    if c.model.kind == "nonlinear":
-        return Cells(c, c.model, P, work).prove(FLOW, flow.slacks, True, len(flow.P), flow.robust)
     if c.multipliers is not None:
         return multiplied(c, flow)
-    return at_corners(joint(c), flow)
+    slack = at_corners(joint(c), flow)
+    if c.model.kind == "nonlinear":
+        slack = min(slack, Cells(c, c.model, P, work).prove(FLOW, flow.slacks, True, len(flow.P), flow.robust))
+    return slack
 
 
 def at_corners(found: Members, flow: Flow) -> float:

@@ -159,6 +159,8 @@ class Inclusion:
 def inclusion(read: Tree, plant: Plant) -> Inclusion:
     """The judged content of a file's table."""
     weights = weights_of(read, plant)
+    if plant.part:
+        raise refuse("plant.part_of", "must be left out: no map carries every plant of a model")
     if read["witness"] is not None:
         raise refuse("witness", "must be null: a certificate for an inclusion has no witness")
     if weights.lam_samples < weights.lam:

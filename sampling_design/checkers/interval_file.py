@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .parts import AROUND, Plant
+from .parts import AROUND, Plant, misnamed
 from .strict import Array, Tree, flag, list_of, matrix, nonnegative, number, or_nothing, positive, refuse, table, text
 
 MOST_ROWS = 5000  # that were read
@@ -59,7 +59,6 @@ class OfInterval:
     """
 
     plant: Plant
-    B: Array
     t: float
     rows: Array
     names: tuple[str, ...]
@@ -83,14 +82,15 @@ class OfInterval:
 def of_interval(read: Tree, plant: Plant) -> OfInterval:
     """The claim in a file's table, every size derived from the plant and compared."""
     n, q = plant.n, plant.G.shape[1]
-    B = read["plant"]["matrices"].get("B", np.zeros((n, 0)))
     rows, R = read["rows"]["matrix"], sum(len(rows) for _, rows, _ in read["readings"])
     r = len(rows)
     need(n > 0 and r > 0 and rows.shape == (r, n), "rows.matrix", f"must have rows of {n} numbers")
     need(R <= MOST_ROWS, "readings", f"must hold at most {MOST_ROWS} rows")
-    need(B.shape[0] == n, "plant.matrices.B", f"must have {n} rows")
     for key in ("names", "units"):
         need(len(read["rows"][key]) == r, f"rows.{key}", f"must have {r} entries")
+    called = list(zip(read["rows"]["names"], read["rows"]["units"], strict=True))
+    name = misnamed(rows, called, plant.C, plant.states, plant.outputs)
+    need(name is None, "rows", f"calls {name!r} what is not that state or output of the plant")
     for key in ("lower", "upper", "gains"):
         need(len(read[key]) == r, key, f"must have {r} entries")
     for k, pair in enumerate(read["gains"]):
@@ -105,7 +105,8 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     means = {one.row.tobytes() for some in readings for one in some if one.since is not None}
     need(len(read["scales"]) == n + len(means), "scales", f"must have {n + len(means)} entries")
     given = [(one["t"], np.array(one["u"], dtype=np.float64)) for one in read["inputs"]]
-    need(all(len(u) == B.shape[1] for _, u in given), "inputs", f"must each have {B.shape[1]} entries of u")
+    m = plant.B.shape[1]
+    need(all(len(u) == m for _, u in given), "inputs", f"must each have {m} entries of u")
     need(all(a < b for (a, _), (b, _) in pairwise(given)), "inputs", "must be in order of time")
     factors = None
     if read["disproof"] is not None:
@@ -117,7 +118,6 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
         factors = {key: (value, np.array(found["gains"][key])) for key, value in stated.items()}
     return OfInterval(
         plant=plant,
-        B=B,
         t=read["t"],
         rows=rows,
         names=tuple(read["rows"]["names"]),

@@ -1,7 +1,8 @@
 """Which matrices a model holds, and whether all of them are positive: each least eigenvalue with a bound of rounding.
 
 A box of parameters and a list of vertices are both B + sum x_k M_k: x between the corners of a box, or shares that sum
-to one. A matrix that fails is named by its parameters.
+to one. A matrix that fails is named by its parameters. The plant that stands in the file is a member of every model: of
+a box since its numbers lie in their ranges, of others since it is proven beside them.
 
 What a sample shows, for every C of a model: P(tau) + C'R~C - P(0) > 0 where a sample may come.
 
@@ -78,7 +79,7 @@ class Members:
     base: Array
     parts: Array
     points: Array
-    model: Box | Vertices
+    model: Box | Vertices | Region
     acting: tuple[Parameter, ...]
 
     def at(self, points: Array) -> Parts:
@@ -99,8 +100,9 @@ class Members:
             return f" where {', '.join(values)}"
         if self.model.kind == "box":
             return ""
-        shares = ", ".join(f"{x:.6g} of vertex {k}" for k, x in enumerate(point.tolist()) if x)
-        return f" where the plant is {shares}"
+        last = len(point) - 1
+        shares = (f"{x:.6g} of {f'vertex {k}' if k < last else 'the centre'}" for k, x in enumerate(point) if x)
+        return f" where the plant is {', '.join(shares) or 'the centre'}"
 
     def halves(self, points: Array) -> Iterator[Array]:
         """Two hulls that together hold that of some points: a box is halved, or the longest side of a simplex."""
@@ -125,11 +127,12 @@ class Members:
 def members(
     c: Inclusion, base: Array, part: Callable[[Parameter], Array], stack: Callable[[Vertices], Array]
 ) -> Members:
-    """The matrices of one kind in a model that is a box or a list."""
+    """The matrices of one kind in a model that is a box or a list; of a nonlinear plant that at the centre alone."""
+    if c.model.kind == "nonlinear":
+        return Members(base, np.zeros((0, *base.shape)), np.zeros((1, 0)), c.model, ())
     if c.model.kind == "vertices":
-        found = stack(c.model)
+        found = np.concatenate([stack(c.model), base[None]])
         return Members(np.zeros_like(base), found, np.eye(len(found)), c.model, ())
-    assert c.model.kind == "box"
     acting = tuple(each for each in c.model.parameters if part(each).any() and each.low < each.high)
     if len(acting) > MOST_PARAMETERS:
         raise Undecided("corners", f"{len(acting)} parameters have too many corners: the file has no multipliers")
@@ -195,11 +198,10 @@ def prove_jumps(c: Inclusion, P: Array, Rt: Array, work: WorkLimit) -> float:
         jump = Jump(later - base, np.abs(later) + np.abs(base), c.nodes[c.jumps.later[at]], of_some(Rt, measured))
         if not measured.any():
             slack = min(slack, least(f"{JUMP} without C'R~C", jump.gained, jump.sizes, jump.taus))
-        elif c.model.kind == "nonlinear":
-            slack = min(slack, over_region(c, c.model, P, jump, measured, work))
         else:
-            found = outputs(c)
-            slack = min(slack, over_set(found.rows(measured), jump, work))
+            slack = min(slack, over_set(outputs(c).rows(measured), jump, work))
+            if c.model.kind == "nonlinear":
+                slack = min(slack, over_region(c, c.model, P, jump, measured, work))
     return slack
 
 

@@ -6,7 +6,7 @@ Sizes come from the plant: n states, p outputs, q disturbances.
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -82,17 +82,22 @@ SOLVER = table(
 RATES: dict[str, Reader] = {"eta": positive, "margin": nonnegative}
 NUMBERS: dict[str, Reader] = {**RATES, "lam": positive, "lam_samples": positive}
 MATRICES = dict.fromkeys(("P1", "P2", "Qw", "R", "Qv"), matrix())
+Labels = list[tuple[str, str]]
+"""Names with their units, in order."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """x' = Ax + Gw, y = Cx; `part`: rows of another plant's state, which `check_part` has judged."""
+    """x' = Ax + Bu + Gw, y = Cx; `part`: rows of another plant's state, which `check_part` has judged."""
 
     A: Array
     C: Array
     G: Array
     time_unit: str
     part: bool = False
+    B: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    states: Labels = field(default_factory=list)
+    outputs: Labels = field(default_factory=list)
 
     @property
     def n(self) -> int:
@@ -154,18 +159,22 @@ def plant_of(read: Tree) -> Plant:
     if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
         raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
     signals_of(read, n, p, G.shape[1])
-    found = Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"], "part_of" in read)
+    states, outputs = labels(read.get("states"), "x", n), labels(read.get("outputs"), "y", p)
+    B, G, C = m.get("B", np.zeros((n, 0))) if n else A, G.reshape(n, G.shape[1] if n else 0), C.reshape(p, n)
+    found = Plant(A, C, G, read["time_unit"], "part_of" in read, B, states, outputs)
     if "part_of" in read:
         part = read["part_of"]
         whole = plant_of({"time_unit": found.time_unit, **part["plant"]})
         check_part(found, whole, part["map"], part["rows"])
-        groups = [read.get("states", {}), *(part["plant"].get(key, {}) for key in ("states", "outputs"))]
-        names = [group.get("names", []) for group in groups]
-        units = [group.get("units") or [""] * len(own) for group, own in zip(groups, names, strict=True)]
-        known = [dict(zip(*labels, strict=True)) for labels in zip(names, units, strict=True)]
-        if (name := misnamed(part["map"], whole.C, *known)) is not None:
+        if (name := misnamed(part["map"], states, whole.C, whole.states, whole.outputs)) is not None:
             raise refuse("plant.states", f"calls {name!r} what is not that of the whole plant")
     return found
+
+
+def labels(signals: Mapping[str, list[str]] | None, letter: str, count: int) -> Labels:
+    """Names of states or outputs with their units: what has no name is called x1, x2, ..., or y1, y2, ..."""
+    known = signals or {"names": [f"{letter}{i + 1}" for i in range(count)]}
+    return list(zip(known["names"], known.get("units") or [""] * count, strict=True))
 
 
 def check_part(part: Plant, whole: Plant, onto: Array, rows: int) -> None:
@@ -174,7 +183,8 @@ def check_part(part: Plant, whole: Plant, onto: Array, rows: int) -> None:
         raise refuse("plant.part_of.plant.time_unit", f"must be {part.time_unit!r}")
     if onto.shape != (part.n, whole.n) or not 1 <= rows <= part.n:
         raise refuse("plant.part_of", f"must have a map of shape {(part.n, whole.n)}, and 1 to {part.n} rows")
-    apart = not_carried(onto, (part.A, part.C, part.G), (whole.A, whole.C, whole.G))
+    own, other = ((each.A, each.C, np.hstack([each.B, each.G])) for each in (part, whole))
+    apart = not_carried(onto, own, other)
     if apart is not None:
         raise refuse("plant.part_of.map", f"does not carry {apart} of the whole plant, each entry to {CARRIED:g}")
 
@@ -193,16 +203,14 @@ def not_carried(onto: Array, part: tuple[Array, Array, Array], whole: tuple[Arra
     return next((name for name, (off, of) in terms.items() if not np.all(np.abs(off) <= CARRIED * of)), None)
 
 
-def misnamed(
-    onto: Array, C: Array, states: dict[str, str], whole: dict[str, str], outputs: dict[str, str]
-) -> str | None:
-    """The first state of a quotient called like a state or output of the whole plant that is another row or has another
-    unit: None where there is none. Names with their units, in order."""
-    known = {name: (row, unit) for (name, unit), row in zip(outputs.items(), C, strict=False)}
-    known |= {name: (row, unit) for (name, unit), row in zip(whole.items(), np.eye(onto.shape[1]), strict=False)}
-    for (name, unit), own in zip(states.items(), onto, strict=False):
+def misnamed(rows: Array, called: Labels, C: Array, states: Labels, outputs: Labels) -> str | None:
+    """The first row of a plant's state called like a state or output of it that is another row or has another unit:
+    None where there is none."""
+    known = {name: (row, unit) for (name, unit), row in zip(outputs, C, strict=True)}
+    known |= {name: (row, unit) for (name, unit), row in zip(states, np.eye(rows.shape[1]), strict=True)}
+    for (name, unit), own in zip(called, rows, strict=True):
         row, theirs = known.get(name, (own, unit))
-        if unit != theirs or np.max(np.abs(own - row)) > CARRIED * np.max(np.abs(row)):
+        if unit != theirs or np.any(np.abs(own - row) > CARRIED * np.max(np.abs(row), initial=0.0)):
             return name
     return None
 

@@ -243,7 +243,7 @@ class BackwardRecursion:
         edges = [a, *(t for t, _ in c.inputs if a < t < b), b]
         for left, right in reversed(list(pairwise(edges))):
             if right > left:
-                u = next((u for t, u in reversed(c.inputs) if t <= left), np.zeros(c.B.shape[1]))
+                u = next((u for t, u in reversed(c.inputs) if t <= left), np.zeros(c.plant.B.shape[1]))
                 self.piece(columns, Fraction(right) - Fraction(left), u)
 
     def piece(self, columns: Columns, length: Fraction, u: Array) -> None:
@@ -277,11 +277,11 @@ class BackwardRecursion:
         """Add int g'(Bu + G centre) over the panels, with its doubt."""
         c, n, (mean, wrong_mean) = self.c, self.c.plant.n, means
         force = np.zeros(len(self.A))
-        force[:n] = (c.B @ u + c.plant.G @ c.w_centre) / self.d[:n]
+        force[:n] = (c.plant.B @ u + c.plant.G @ c.w_centre) / self.d[:n]
         if not np.any(force):
             return
         sizes = np.zeros(len(self.A))
-        sizes[:n] = (np.abs(c.B) @ np.abs(u) + np.abs(c.plant.G) @ np.abs(c.w_centre)) / self.d[:n]
+        sizes[:n] = (np.abs(c.plant.B) @ np.abs(u) + np.abs(c.plant.G) @ np.abs(c.w_centre)) / self.d[:n]
         total, around = path[:-1].sum(axis=0), np.abs(path[:-1]).sum(axis=0)
         loss = (len(path) + 4 * len(mean) + len(u) + len(c.w_centre)) * EPS
         columns.exact[part] += force @ (mean @ total)

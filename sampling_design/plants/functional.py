@@ -84,8 +84,7 @@ class FunctionalPlant(Plant):
         apart = not_carried(onto, (self.A, self.C, driven[0]), (whole.A, whole.C, driven[1]))
         if apart is not None:
             raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
-        units = [dict(zip(each.names, each.units, strict=True)) for each in (self.states, whole.states, whole.outputs)]
-        if (name := misnamed(onto, whole.C, *units)) is not None:
+        if (name := misnamed(onto, self.states.called, whole.C, whole.states.called, whole.outputs.called)) is not None:
             raise ArgumentError(f"`states` call {name!r} what is not that state or output of the whole plant.")
 
     @classmethod

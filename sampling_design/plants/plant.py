@@ -84,6 +84,11 @@ class Signals(ListRecord[str]):
         """Names with their units in brackets, for tables and axes."""
         return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
 
+    @property
+    def called(self) -> list[tuple[str, str]]:
+        """Names with their units, as checkers compare them."""
+        return list(zip(self.names, self.units, strict=True))
+
     def to_dict(self) -> dict[str, Plain]:
         """Return a table of the plant file format; units and scales that say nothing are left out."""
         table: dict[str, Plain] = {"names": list(self.names)}

@@ -23,6 +23,7 @@ from sampling_design.checkers.strict import from_json
 from sampling_design.cli import files
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
+from sampling_design.observability import functional_plant
 from tests.cases import few
 from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
 from tests.oracles.estimators import transition
@@ -173,6 +174,12 @@ def test_what_the_gains_do_not_prove_is_refused(whole, forge):
         (("inputs", 0, "t"), 1e3, "`inputs` must be in order of time"),
         (("rows", "names"), ["x1"], "`rows.names` must have 2 entries"),
         (("rows", "matrix"), [[1.0], [2.0]], "`rows.matrix` must have rows of 2 numbers"),
+        (("rows", "names"), ["x2", "x1"], "`rows` calls 'x2' what is not that state or output of the plant"),
+        (("rows", "names"), ["x1", "x1"], "`rows` calls 'x1' what is not"),
+        (("rows", "names"), ["x1", "y1"], "`rows` calls 'y1' what is not"),
+        (("rows", "matrix"), [[1.0, 1e-9], [0.0, 1.0]], "`rows` calls 'x1' what is not"),
+        (("rows", "units"), ["", "km"], "`rows` calls 'x2' what is not"),
+        (("plant", "states"), {"names": ["x2", "x1"]}, "`rows` calls 'x1' what is not"),
     ],
 )
 def test_sizes_and_order_are_derived(whole, place, value, words):
@@ -184,6 +191,26 @@ def test_sizes_and_order_are_derived(whole, place, value, words):
     verdict = check(with_digest(data))
     assert verdict["verdict"] == "bad file"
     assert words in verdict["reason"]
+
+
+def test_a_row_has_its_name_where_states_have_none(whole):
+    """What has no name is called x1, x2 by whoever reads the file."""
+    data = copy.deepcopy(whole[1])
+    del data["plant"]["states"]
+    assert check(with_digest(data))["verdict"] == "proven"
+    data["rows"]["names"].reverse()
+    assert "`rows` calls 'x2' what is not" in check(with_digest(data))["reason"]
+
+
+def test_inputs_drive_a_part_as_they_drive_the_whole_plant():
+    three = sd.Plant(np.diag([0.1, 0.2, -1.0]), [[1.0, 0.0, 0.5]], B=[[1.0], [1.0], [0.5]])
+    record = [(1.0, [1.0], [0.3]), (2.0, [1.2], [0.0])]
+    found = state_interval(functional_plant(three, "x1"), record, 2.5, initial_error=[3.0, 3.0], of="x1", **GIVEN)
+    data = json.loads(json.dumps(found._sealed()))
+    assert check(data)["verdict"] == "proven"
+    data["plant"]["matrices"]["B"][0][0] *= 0.9
+    data["lower"] = data["upper"] = [None]
+    assert "`plant.part_of.map` does not carry G of the whole plant" in check(with_digest(data))["reason"]
 
 
 def test_a_mean_begins_at_a_known_time(whole):

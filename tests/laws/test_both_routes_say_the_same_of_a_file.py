@@ -27,6 +27,7 @@ WORST = 2.0
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 NOMINAL = sd.PeriodicSchedule([1.0, 0.5])
 SLOPES = UncertainPlant(sd.Plant([[0.0]], [[1.0]]), [UncertainParameter("theta", -1.0, 1.0, A=[[1.0]])])
+BETWEEN = UncertainPlant(sd.Plant([[0.0]], [[1.0]]), vertices=[sd.Plant([[-0.1]], [[1.0]]), sd.Plant([[0.1]], [[1.1]])])
 SINE = {"code": [["x", 0], ["sin", 0], ["w", 0], ["add", 1, 2]], "outputs": [3]}
 PRODUCT = {"code": [["x", 0], ["w", 0], ["mul", 0, 1]], "outputs": [2]}
 
@@ -46,6 +47,7 @@ FILES = {
     "lost": lambda: sd.certify(OSCILLATOR, sd.LostSamples(NOMINAL, 1, 3), eta=0.1, memory=0, P2=np.eye(2)).to_dict(),
     "detectability": lambda: sd.certificates.certify_detectability(OSCILLATOR).to_dict(),
     "inclusion": lambda: certify_inclusion(SLOPES, sd.GapRange(0.1, 0.2), eta=0.5, pieces=4).to_dict(),
+    "vertices": lambda: certify_inclusion(BETWEEN, sd.GapRange(0.1, 0.2), eta=0.5, pieces=2).to_dict(),
     "region": lambda: region(SINE),
 }
 
@@ -120,6 +122,31 @@ def test_the_two_routes_agree_on_forged_files(kind):
         assert min(in_floats.left, in_balls.left) > -WORST * WORK, label
         counts[found] = counts.get(found, 0) + 1
     assert counts["bad file", "bad file"] >= len(json.loads(text(kind)))
+
+
+@pytest.mark.parametrize("kind", ["vertices", "region"])
+def test_the_plant_of_a_file_is_one_of_its_model(kind):
+    """The plant that a reader compares with theirs stood beside the model, and nothing was proven of it."""
+    whole = json.loads(text(kind))
+    proven, plant = verdict(whole | {"digest": digest(whole)}), whole["plant"]
+    assert proven.verdict == "proven"
+    for key, value in (("A", [[5.0]]), ("C", [[0.0]]), ("G", [[30.0]])):
+        forged = whole | {"plant": plant | {"matrices": plant["matrices"] | {key: value}}}
+        forged["digest"] = digest(forged)
+        found = verdict(forged), verify_rigorously(forged)
+        assert [each.verdict for each in found] == ["refuted", "refuted"], key
+        assert "where the plant is" in found[0].reason
+        assert "the centre" in found[0].reason
+
+
+def test_no_map_carries_every_plant_of_a_model():
+    whole = json.loads(text("inclusion"))
+    bare = {key: whole["plant"][key] for key in ("format", "matrices")}
+    forged = whole | {"plant": whole["plant"] | {"part_of": {"plant": bare, "map": [[1.0]], "rows": 1}}}
+    forged["digest"] = digest(forged)
+    for found in (verdict(forged), verify_rigorously(forged)):
+        assert found.verdict == "bad file"
+        assert "`plant.part_of` must be left out: no map carries every plant of a model" in found.reason
 
 
 @pytest.mark.parametrize(("more", "said"), [(1.0, "proven"), (1.004, "refuted")])

@@ -257,7 +257,8 @@ class SampledCertificate(VerifiableRecord, ABC):
         """What checkers judge: the numbers of the file, before there is one."""
         own, stated = self.plant, self._stated()
         judge = claim_of({"format": FORMAT, **stated}).record
-        return judge(stated, FilePlant(own.A, own.C, own.G, own.time_unit, own.is_part))
+        names = own.states.called, own.outputs.called
+        return judge(stated, FilePlant(own.A, own.C, own.G, own.time_unit, own.is_part, own.B, *names))
 
     @property
     def constants(self) -> ConstantList:

@@ -64,11 +64,12 @@ def diagonal(M: Matrix) -> list[Ball]:
 
 
 def members(c: Inclusion, keys: str) -> Iterator[list[Matrix]]:
-    """The matrices of these keys at every vertex of the model that moves them."""
-    if c.model.kind == "vertices":
-        yield from ([matrix(getattr(c.model, key)[k]) for key in keys] for k in range(len(c.model.A)))
+    """The matrices of these keys at every vertex of the model that moves them, and of the file's own plant."""
+    if c.model.kind != "box":
+        yield [matrix(getattr(c.plant, key)) for key in keys]
+        if c.model.kind == "vertices":
+            yield from ([matrix(getattr(c.model, key)[k]) for key in keys] for k in range(len(c.model.A)))
         return
-    assert c.model.kind == "box"
     acting = [each for each in c.model.parameters if any(getattr(each, key).any() for key in keys)]
     for ends in product(*(sorted({each.low, each.high}) for each in acting)):
         found = [matrix(getattr(c.plant, key)) for key in keys]
@@ -90,12 +91,6 @@ def ends_of(c: Inclusion, P: list[Matrix]) -> list[tuple[Matrix, Matrix, float]]
 def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
     """The flow condition for every member."""
     eta, every = ball(c.weights.eta), ends_of(c, P)
-    if c.model.kind == "nonlinear":
-
-        def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
-            return (dissipation(p, slope, A, G, Qw, eta)[0] for p, slope, _ in every)
-
-        return JacobianCells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*split_columns(M, c.plant.n)), True)
     if c.multipliers is not None:
         return multiplied(c, every, Qw, clock)
     slack = 1.0
@@ -103,7 +98,13 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
         for p, slope, tau in every:
             clock.check(PRICE + (c.plant.n + len(c.weights.Qw)) ** 3)
             slack = min(slack, decided(FLOW, *dissipation(p, slope, A, G, Qw, eta), tau))
-    return slack
+    if c.model.kind != "nonlinear":
+        return slack
+
+    def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
+        return (dissipation(p, slope, A, G, Qw, eta)[0] for p, slope, _ in every)
+
+    return JacobianCells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*split_columns(M, c.plant.n)), True)
 
 
 def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: Budget) -> float:
@@ -164,7 +165,10 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
         if not measured.any():
             for later, base, tau in every:
                 slack = min(slack, decided(JUMP, later - base, diagonal(later + base), tau))
-        elif c.model.kind == "nonlinear":
+            continue
+        sets = OutputSets(c, measured)
+        slack = min([slack, *(sets.over(jump, Y, clock) for jump in every)])
+        if c.model.kind == "nonlinear":
             rows = np.flatnonzero(measured).tolist()
 
             def forms(
@@ -176,9 +180,6 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
 
             JacobianCells(c, c.model, clock).prove(JUMP, forms, False)
             slack = 0.0
-        else:
-            sets = OutputSets(c, measured)
-            slack = min([slack, *(sets.over(jump, Y, clock) for jump in every)])
     return slack
 
 
@@ -203,14 +204,14 @@ def tangent(C: Matrix, B: Matrix, Y: Matrix) -> Matrix:
 
 
 class OutputSets:
-    """The C of a box or a list: sets of them, named by their points, that are halved."""
+    """The C of a box or a list: sets of them, named by their points, that are halved; that of the file's own plant."""
 
     def __init__(self, c: Inclusion, measured: Mask) -> None:
-        self.c, self.measured = c, measured
-        assert c.model.kind != "nonlinear"
-        self.model = c.model
-        if c.model.kind == "vertices":
-            self.acting, self.points = [], np.eye(len(c.model.C))
+        self.c, self.measured, self.corners = c, measured, c.plant.C[None]
+        if c.model.kind != "box":
+            if c.model.kind == "vertices":
+                self.corners = np.concatenate([c.model.C, self.corners])
+            self.acting, self.points = [], np.eye(len(self.corners))
             return
         self.acting = [each for each in c.model.parameters if each.C.any()]
         corners = list(product(*(sorted({each.low, each.high}) for each in self.acting)))
@@ -218,12 +219,12 @@ class OutputSets:
 
     def at(self, point: Array) -> Matrix:
         """The rows of C that are measured."""
-        if self.model.kind == "box":
+        if self.c.model.kind == "box":
             found = matrix(self.c.plant.C[self.measured])
             for each, value in zip(self.acting, point.tolist(), strict=True):
                 found += matrix(each.C[self.measured]) * (ball(value) - ball(each.nominal))
             return found
-        parts = (matrix(C[self.measured]) * ball(x) for C, x in zip(self.model.C, point.tolist(), strict=True))
+        parts = (matrix(C[self.measured]) * ball(x) for C, x in zip(self.corners, point.tolist(), strict=True))
         first = next(parts)
         return sum(parts, first)
 
@@ -231,7 +232,7 @@ class OutputSets:
         """Two sets that together are one: along the side of a box, or of a simplex, that moves C most."""
         far = np.square(found[:, None] - found[None]).sum(axis=(2, 3))
         i, j = divmod(int(np.argmax(far)), len(points))
-        if self.model.kind == "vertices":
+        if self.c.model.kind != "box":
             first, second = points.copy(), points.copy()
             first[i] = second[j] = points[i] / 2 + points[j] / 2
             return [first, second]

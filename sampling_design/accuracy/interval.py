@@ -474,11 +474,11 @@ def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | 
         if program.infeasible and program.contradicted:  # of data that contradict the bounds nothing else is asked
             break
     if program.infeasible or any(up.value + down.value < -DISPROVED * (up.width + down.width) for up, down in ends):
-        found = disprove(program)
-        if found is not None:
+        disproof = disprove(program)
+        if disproof is not None:
             nothing = freeze(np.full(len(rows), np.nan))
             gains = freeze(np.zeros((len(rows), 2, len(readings.y))))
-            return Interval(readings, t, rows, nothing, nothing, gains, program.table.D, disproof=found)
+            return Interval(readings, t, rows, nothing, nothing, gains, program.table.D, disproof=disproof)
     lower, upper = np.array([-down.value for _, down in ends]), np.array([up.value for up, _ in ends])
     if outer is not None:
         lower, upper = np.fmax(lower, outer[:, 0]), np.fmin(upper, outer[:, 1])

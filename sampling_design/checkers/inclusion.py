@@ -30,7 +30,7 @@ import numpy as np
 from .cover import judge
 from .inclusion_file import INCLUSION, Inclusion, inclusion, moved
 from .members import JUMP, Members, bounds, joint, least, prove_jumps, together
-from .numbers import EPS, RESOLUTION, SAFE
+from .numbers import EPS, RESOLUTION, safe
 from .outcome import MOST_WORK, Refused, Undecided, Verdict, WorkLimit, holds
 from .parts import Claim
 from .regions import Cells, Parts
@@ -118,7 +118,7 @@ def prove(c: Inclusion, work: WorkLimit | None = None) -> Verdict:
         return holds(name, 1.0, SUBJECT)
     w, P = c.weights, (c.P + np.swapaxes(c.P, 1, 2)) / 2
     P1, P2, Qw, R, Qv = ((M + M.T) / 2 for M in (w.P1, w.P2, w.Qw, w.R, w.Qv))
-    plain(P, *(c.plant.A, c.plant.C, c.plant.G), *(P1, P2, Qw, R, Qv))
+    safe(P, *(c.plant.A, c.plant.C, c.plant.G), *(P1, P2, Qw, R, Qv), power=4)
     slack = 1.0
     for key, M in (("P1 > 0", P1), ("Qw > 0", Qw), ("R > 0", R), ("Qv > 0", Qv)):
         slack = min(slack, least(key, M[None], np.abs(M)[None]))
@@ -130,13 +130,6 @@ def prove(c: Inclusion, work: WorkLimit | None = None) -> Verdict:
     Rt = together(R, Qv)
     slack = min(slack, prove_jumps(c, P, Rt, work), flows(c, P, Qw, work))
     return holds(name, slack, SUBJECT)
-
-
-def plain(*matrices: Array) -> None:
-    """Undecided if numbers are so large or small that products leave the range of doubles."""
-    sizes = np.abs(np.concatenate([M.ravel() for M in matrices]))
-    if np.any(~np.isfinite(sizes) | (sizes > SAFE[1] ** 0.5) | ((sizes != 0) & (sizes < SAFE[0] ** 0.5))):
-        raise Undecided("range", "some numbers are too large or too small for an honest check in doubles")
 
 
 # --- flow ------------------------------------------------------------------------------------------------------------

@@ -70,10 +70,10 @@ def unit(P: Array) -> Array:
     return np.ldexp(1.0, -np.frexp(np.sqrt(np.abs(np.diag(P))))[1])
 
 
-def safe(*matrices: Array) -> None:
-    """Undecided if a number is so large or small that products of it leave the range of doubles."""
-    sizes = np.abs(np.concatenate([np.ravel(M) for M in matrices]))
-    if np.any(~np.isfinite(sizes) | (sizes > SAFE[1]) | ((sizes != 0) & (sizes < SAFE[0]))):
+def safe(*matrices: Array, power: int = 2) -> None:
+    """Undecided if a number is so large or small that products of so many leave the range of doubles."""
+    sizes, (low, high) = np.abs(np.concatenate([np.ravel(M) for M in matrices])), (x ** (2 / power) for x in SAFE)
+    if np.any(~np.isfinite(sizes) | (sizes > high) | ((sizes != 0) & (sizes < low))):
         raise Undecided("range", "some numbers are too large or too small for an honest check in doubles")
 
 

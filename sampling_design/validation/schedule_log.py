@@ -273,8 +273,8 @@ def _judged(
         part = align(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
         pieces, alone = window_pieces(part, window, start), progress if len(ends) == 1 else None
         reached = np.inf if worst is None else worst.upper
-        found = sigma_of_pieces(plant, part, pieces, RTOL, budget / len(ends), alone, reached=reached)
-        worst = found if worst is None else _joint(worst, found)
+        stretch = sigma_of_pieces(plant, part, pieces, RTOL, budget / len(ends), alone, reached=reached)
+        worst = stretch if worst is None else _joint(worst, stretch)
         start = float(times[end]) - window
         if progress is not None and alone is None:
             progress((k + 1) / len(ends), f"sigma over windows: {end + 1} of {len(schedule)} samples")

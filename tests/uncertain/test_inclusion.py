@@ -12,7 +12,7 @@ from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates.exact import certificate as record
 from sampling_design.certificates.exact import proof
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers import check, claims, inclusion
+from sampling_design.checkers import check, claims, inclusion, numbers
 from sampling_design.checkers import members as checked_members
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
@@ -637,4 +637,4 @@ def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
 
 def test_numbers_whose_products_leave_all_doubles_are_undecided():
     with pytest.raises(Undecided, match="too large or too small for an honest check in doubles"):
-        inclusion.plain(np.array([[1e200]]))
+        numbers.safe(np.array([[1e100]]), power=4)

@@ -182,19 +182,19 @@ class RobustnessSearch:
             within = in_plant_terms(self.plant, family)
             search = FamilySearch(self.plant, within, self.weights, self.certificate.P2, np.inf, self.budget)
             try:
-                found = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
+                proposal = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
             except SamplingDesignError:
                 break  # the graph of this level is too large, or the nominal schedule on the edge
-            best = min(best, found.lam)
-            if found.P is not None and found.lam / (1 - RESOLUTION) < self.limit:
-                return found.lam, found
+            best = min(best, proposal.lam)
+            if proposal.P is not None and proposal.lam / (1 - RESOLUTION) < self.limit:
+                return proposal.lam, proposal
         self.late = self.late or self.budget.over
         return best, None
 
-    def proven(self, family: SamplingFamily, found: FamilyProposal) -> FamilyCertificate:
+    def proven(self, family: SamplingFamily, proposal: FamilyProposal) -> FamilyCertificate:
         """The certificate of a proposal."""
         within = in_plant_terms(self.plant, family)
-        return certified(self.plant, within, self.weights, self.certificate.P2, found)
+        return certified(self.plant, within, self.weights, self.certificate.P2, proposal)
 
     def tried(self, family: SamplingFamily) -> FamilyTrial[SamplingFamily]:
         """One family, with as much memory as is tried for timing errors."""
@@ -203,8 +203,10 @@ class RobustnessSearch:
         member = in_plant_terms(self.plant, family).nominal
         if not certificate_exists(self.plant, member, self.certificate.eta).exists:
             return FamilyTrial(family, np.inf, False)
-        lam, found = self.judge(family, range(min(JITTER_MEMORY, family.levels_of_memory)))
-        return FamilyTrial(family, lam, found is not None, None if found is None else self.proven(family, found))
+        lam, proposal = self.judge(family, range(min(JITTER_MEMORY, family.levels_of_memory)))
+        return FamilyTrial(
+            family, lam, proposal is not None, None if proposal is None else self.proven(family, proposal)
+        )
 
     def largest_radius(
         self, schedule: PeriodicSchedule
@@ -217,12 +219,12 @@ class RobustnessSearch:
         while high - low > RADIUS_RTOL * top and not self.late:
             self.report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
             family = Jitter(schedule, radius)
-            lam, found = self.judge(family, range(JITTER_MEMORY))
+            lam, proposal = self.judge(family, range(JITTER_MEMORY))
             if self.late:
                 break
-            trials.append(FamilyTrial(family, lam, found is not None))
-            low, high, best = (radius, high, (family, found)) if found is not None else (low, radius, best)
-            failed = failed or found is None
+            trials.append(FamilyTrial(family, lam, proposal is not None))
+            low, high, best = (radius, high, (family, proposal)) if proposal is not None else (low, radius, best)
+            failed = failed or proposal is None
             radius = (low + high) / 2 if failed else min(2 * low, top)
         trials.sort(key=lambda trial: trial.family.timing_tolerance)
         return low, high, trials, None if best is None else self.proven(*best)
@@ -240,11 +242,11 @@ class RobustnessSearch:
             w = longest
             while high - low > 1 and not self.late:
                 family = LostSamples(schedule, d, w)
-                lam, found = self.judge(family, [self._loss_level(family)])
+                lam, proposal = self.judge(family, [self._loss_level(family)])
                 if self.late:
                     break
-                tried.append(FamilyTrial(family, lam, found is not None))
-                low, high, best = (low, w, (family, found)) if found is not None else (w, high, best)
+                tried.append(FamilyTrial(family, lam, proposal is not None))
+                low, high, best = (low, w, (family, proposal)) if proposal is not None else (w, high, best)
                 w = (low + high) // 2
             if best is None:
                 break

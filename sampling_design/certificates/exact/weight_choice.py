@@ -184,10 +184,10 @@ class WeightSearch:
         for _ in range(self.restarts if bounds[0] == bounds[1] else 1):
             if self.work.over:
                 break
-            found = self._descent(best, budget, bounds)
-            steps = best.iterations + found.iterations
-            gained = found.value < best.value * (1 - WORTHWHILE)
-            best = replace(min(found, best, key=attrgetter("value")), iterations=steps)
+            descended = self._descent(best, budget, bounds)
+            steps = best.iterations + descended.iterations
+            gained = descended.value < best.value * (1 - WORTHWHILE)
+            best = replace(min(descended, best, key=attrgetter("value")), iterations=steps)
             if not gained:
                 break
         return best

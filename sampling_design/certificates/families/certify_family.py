@@ -126,13 +126,13 @@ class FamilySearch:
             return np.inf, None, max(kept, 0.0), record
         low, high, lam, best = 1.0, np.inf, start, None
         while high > low * (1 + rtol) and low < LARGEST_LAM and not self.budget.over:
-            _, found, record = program.feasible(lam, floor / self.noise_gain)
-            if found is None:
+            _, matrices, record = program.feasible(lam, floor / self.noise_gain)
+            if matrices is None:
                 low = lam
             else:
-                high, best, of_best = lam, found, record
+                high, best, best_record = lam, matrices, record
             lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
-        return (high, best, kept, of_best) if best is not None else (np.inf, None, kept, record)
+        return (high, best, kept, best_record) if best is not None else (np.inf, None, kept, record)
 
     def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> FamilyProposal:
         """Return matrices for which every inequality is proven along its interval, or why there are none.
@@ -154,13 +154,13 @@ class FamilySearch:
             if (edges.tight or nodes.tight) and not program.widen():
                 break
             floor = program.floor()[0] if program.P2 is None else 0.0
-            again = None
+            renewed = None
             if program.P2 is None and floor * float(np.linalg.eigvalsh(program.unit)[-1]) >= LEAST_FLOOR:
-                _, again, record = program.feasible(lam * ROOM, floor / self.noise_gain)
-                lam = lam * ROOM if again is not None else lam
-            if again is None:
-                lam, again, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
-            P = again
+                _, renewed, record = program.feasible(lam * ROOM, floor / self.noise_gain)
+                lam = lam * ROOM if renewed is not None else lam
+            if renewed is None:
+                lam, renewed, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
+            P = renewed
         return FamilyProposal(program.dynamics, program.graph, None, lam, record, kept, gap)
 
     @staticmethod
@@ -201,18 +201,18 @@ class FamilySearch:
         missed: list[FamilyProposal] = []
         for level in levels:
             report(0.1, f"memory level {level}")
-            found = self.propose(bounds[0], level)  # what exists at some rate exists at the least
-            if found.P is not None:
+            proposal = self.propose(bounds[0], level)  # what exists at some rate exists at the least
+            if proposal.P is not None:
                 chosen = bounds[0] < bounds[1]
-                return self.best_of(bounds, level, found, report) if chosen else found
-            missed.append(found)
+                return self.best_of(bounds, level, proposal, report) if chosen else proposal
+            missed.append(proposal)
             if self.budget.over:
                 break
-            if len(missed) > 2 and found.kept < MEMORY_GAIN * missed[-3].kept:
+            if len(missed) > 2 and proposal.kept < MEMORY_GAIN * missed[-3].kept:
                 break  # two levels more, and no more information kept: memory is not what is missing
             if level == levels[0]:
                 report(0.3, "search for a schedule without certificate")
-                least = refute(self.plant, self.family, bounds[0], hints=[found.gap])
+                least = refute(self.plant, self.family, bounds[0], hints=[proposal.gap])
         raise _undecided(self, bounds[0], missed, least)
 
     def best_of(
@@ -224,9 +224,9 @@ class FamilySearch:
         """
         with suppress(KeyboardInterrupt):
             for rate in self.rates(bounds, memory, report)[:TRIED_RATES]:
-                found = known if self.budget.over else self.propose(rate, memory)
-                if found.P is not None and found.horizon < known.horizon:
-                    return found
+                proposal = known if self.budget.over else self.propose(rate, memory)
+                if proposal.P is not None and proposal.horizon < known.horizon:
+                    return proposal
         return known
 
 

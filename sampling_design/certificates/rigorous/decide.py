@@ -172,17 +172,17 @@ def judged(data: Mapping[str, object], rigorous: bool, budget: float) -> Verific
     The checker says yes and no only beyond its bound of all rounding; what it leaves undecided goes to ball arithmetic,
     if python-flint is installed, and so does everything if `rigorous`.
     """
-    found = None if rigorous else verdict_of(data)
-    if found is not None and (found.verdict != "undecided" or find_spec("flint") is None):
-        return found
+    verdict = None if rigorous else verdict_of(data)
+    if verdict is not None and (verdict.verdict != "undecided" or find_spec("flint") is None):
+        return verdict
     return verify_rigorously(data, budget, None if rigorous else WorkLimit(HANDED_OVER))
 
 
 def judged_while_sought(content: object, claim: str, budget: float) -> Verification:
     """The same of what a file of a claim would hold, before there is one."""
-    found = verdict_on_content(content, claim_of({"format": FORMAT, "claim": claim}).prove)
-    if found.verdict != "undecided" or find_spec("flint") is None:
-        return found
+    verdict = verdict_on_content(content, claim_of({"format": FORMAT, "claim": claim}).prove)
+    if verdict.verdict != "undecided" or find_spec("flint") is None:
+        return verdict
     return _verified(content, lambda clock: _decided_as(claim, content, clock), budget, WorkLimit(HANDED_OVER))
 
 
@@ -237,15 +237,15 @@ def _verified(
     clock = Budget(budget, work=work)
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
-            found = of_whole_plant(content, decide(clock))
+            verdict = of_whole_plant(content, decide(clock))
     except Refused as stop:
-        found = refused(stop)
+        verdict = refused(stop)
     except BudgetSpentError:
         reason = "it takes more work than was handed over" if work and work.over else f"{budget:g} s were not enough"
-        found = Verdict(UNDECIDED, "budget", reason)
+        verdict = Verdict(UNDECIDED, "budget", reason)
     except (np.linalg.LinAlgError, ZeroDivisionError) as error:  # the latter: a ball holds a singular matrix
-        found = Verdict(UNDECIDED, "guess", f"the guesses in floats broke down ({error})")
-    return verification(found, BITS, clock.spent)
+        verdict = Verdict(UNDECIDED, "guess", f"the guesses in floats broke down ({error})")
+    return verification(verdict, BITS, clock.spent)
 
 
 def _decided_as(claim: str, content: object, clock: Budget) -> Verdict:

@@ -159,8 +159,8 @@ class CurveCollector:
 
     def curve(self, measurements: Measurements) -> EstimateCurve:
         """Return what was collected."""
-        found = EstimateRecord.collect(self.estimator.plant, self.points)
-        return EstimateCurve(found, joined(self.tubes), measurements)
+        estimates = EstimateRecord.collect(self.estimator.plant, self.points)
+        return EstimateCurve(estimates, joined(self.tubes), measurements)
 
 
 def _moved(estimate: Estimate, x: Array) -> Estimate:

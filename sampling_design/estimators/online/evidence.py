@@ -96,11 +96,11 @@ class EstimateEvidence:
             with np.errstate(over="raise", invalid="raise"):  # rows beyond all numbers end in a sentence
                 z, reach = rows.matrix @ x, np.sqrt(radius) * _deviations(rows.matrix, covariance)
             outer = np.array([z - reach, z + reach]).T
-        found = prove(program, t, rows, outer)
+        interval = prove(program, t, rows, outer)
         last = self.nodes[-1]
-        if found.disproof is not None and last.branch is not None and last.contradiction is None:
-            last.branch.record(last.number, self._contradiction_of(found.disproof))
-        return found
+        if interval.disproof is not None and last.branch is not None and last.contradiction is None:
+            last.branch.record(last.number, self._contradiction_of(interval.disproof))
+        return interval
 
     def _contradiction_of(self, found: Disproof) -> Contradiction:
         """Return the sample without which the rest agrees and what its noise would have to be; else the strongest."""
@@ -145,11 +145,11 @@ class EstimateEvidence:
         """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
         if self._program is None:
             self._program = self.assumed.program(self._readings())
-        found = open_tube(self._program, times, x)
+        tube = open_tube(self._program, times, x)
         if self.contradiction is None:
-            return found
-        nothing = np.full(found.lower.shape, np.nan)
-        return StateTube(found.times, nothing, nothing)
+            return tube
+        nothing = np.full(tube.lower.shape, np.nan)
+        return StateTube(tube.times, nothing, nothing)
 
     def _readings(self, until: float | None = None) -> Readings:
         nodes = self.nodes[-(REMEMBERED + 1) :]

@@ -19,7 +19,7 @@ from sampling_design.plants.rows import RequestedRows
 from sampling_design.records import file_io
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.file_io import with_digest
+from sampling_design.records.evidence import with_digest
 from sampling_design.records.record import Plain
 
 CLAIM = "interval"

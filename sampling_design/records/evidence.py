@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
+from sampling_design import __version__
+from sampling_design.checkers.parts import FORMAT, digest
+from sampling_design.checkers.strict import Tree
+from sampling_design.records.declarations import plain
 from sampling_design.records.record import Plain
 
 Strength = Literal["proven", "attained", "sampled"]
@@ -60,3 +64,16 @@ class SolverRecord:
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+def with_digest(plant: object, parts: Mapping[str, object], **after: object) -> Tree:
+    """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
+    data: Tree = {
+        "format": FORMAT,
+        "plant": plain(plant),
+        **{key: plain(part) for key, part in parts.items()},
+        "tool": {"name": "sampling_design", "version": __version__},
+        **{key: plain(part) for key, part in after.items()},
+    }
+    data["digest"] = digest(data)
+    return data

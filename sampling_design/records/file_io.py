@@ -17,13 +17,10 @@ from typing import BinaryIO
 
 import numpy as np
 
-from sampling_design import __version__
 from sampling_design.checkers import strict
-from sampling_design.checkers.parts import FORMAT, digest
 from sampling_design.checkers.strict import Reader, Tree, is_list
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.arrays import Array
-from sampling_design.records.declarations import plain
 
 PIECES = 1 << 14  # tokens of JSON that are written at a time
 
@@ -222,19 +219,6 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
 def write_text(path: str | os.PathLike[str], text: str) -> Path:
     """Write `text` as UTF-8, whole or not at all (see `write_bytes`)."""
     return write_bytes(path, text.encode("utf-8"))
-
-
-def with_digest(plant: object, parts: Mapping[str, object], **after: object) -> Tree:
-    """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
-    data: Tree = {
-        "format": FORMAT,
-        "plant": plain(plant),
-        **{key: plain(part) for key, part in parts.items()},
-        "tool": {"name": "sampling_design", "version": __version__},
-        **{key: plain(part) for key, part in after.items()},
-    }
-    data["digest"] = digest(data)
-    return data
 
 
 def to_json(data: Mapping[str, object]) -> str:

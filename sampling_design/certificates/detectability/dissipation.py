@@ -16,8 +16,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.file_io import with_digest
+from sampling_design.records.evidence import Claim, SolverRecord, with_digest
 from sampling_design.records.record import Plain, short
 
 METHODS = ("riccati", "lmi", "proof", "given")

@@ -68,7 +68,7 @@ def open_row(
 
     `known` keeps what is the same for this row after all samples with gaps of one length; `least` panels at least.
     """
-    begin, end = system.judged[j][2:] if until is None else (0.0, until)
+    begin, end = system.judged[j][2:4] if until is None else (0.0, until)
     known = {} if known is None else known
     d = _grid(speed_of(system), begin, end, least)
     if (begin, end) not in known:

@@ -29,6 +29,7 @@ class ResultsIn(NamedTuple):
     samples: Index  # those of which something measured may be out or is just in, in order; the last has something in
     times: Array
     arrived: Mask  # (k, p): what of them is in
+    new: Index  # (m, 3): what comes in as it begins: place among them (negative: before them), sample, output
 
 
 def results_in(times: Array, delays: Array, *, period: float | None = None, end: float = np.inf) -> list[ResultsIn]:
@@ -52,6 +53,7 @@ def with_results_out(system: SampledSystem, delays: Array) -> SampledSystem:
         measured = np.isfinite(delays[arrival.samples])
         part = np.flatnonzero(np.any(measured & ~arrival.arrived, axis=1))
         node, first = int(arrival.samples[-1]), int(part[0]) if part.size else len(arrival.samples)
+        path = dict(enumerate(arrival.samples.tolist()))
         for k in range(first, len(arrival.samples)):
             j = int(arrival.samples[k])
             before.append(
@@ -59,9 +61,9 @@ def with_results_out(system: SampledSystem, delays: Array) -> SampledSystem:
             )
             again.append(j)
             samples.append(_without(system.samples[j], arrival.arrived[k]))
-            node = len(samples) - 1
-        time = float(arrival.times[-1])
-        spans.append(KnownSpan(node, time, arrival.begin - time, arrival.end - time))
+            node = path[k] = len(samples) - 1
+        time, new = float(arrival.times[-1]), tuple((path.get(k, j), i) for k, j, i in arrival.new.tolist())
+        spans.append(KnownSpan(node, time, arrival.begin - time, arrival.end - time, new))
     L = np.concatenate([system.L, system.L[again]]) if again else system.L
     return replace(
         system, L=L, samples=tuple(samples), known_spans=tuple(spans), again=tuple(again), before=tuple(before)
@@ -142,7 +144,7 @@ def _endless(times: Array, period: float, delays: Array) -> list[ResultsIn]:
     )
     marks = marks[marks < marks[0] + period - tiny]
     ends = np.append(marks[1:], marks[0] + period)
-    return _each(marks, ends, every, index, comes, measured[index], tiny)
+    return _each(marks, ends, every, index, comes, measured[index], tiny, float(marks[-1]) - period)
 
 
 def _finite(times: Array, end: float, delays: Array) -> list[ResultsIn]:
@@ -155,22 +157,29 @@ def _finite(times: Array, end: float, delays: Array) -> list[ResultsIn]:
     found = _each(marks, ends, times, index, comes, measured, tiny)
     if marks.size and first <= tiny:
         return found
-    return [ResultsIn(0.0, first, index[:1], times[:1], np.zeros((1, delays.shape[1]), dtype=bool)), *found]
+    nothing = np.zeros((1, delays.shape[1]), dtype=bool)
+    return [ResultsIn(0.0, first, index[:1], times[:1], nothing, np.zeros((0, 3), dtype=np.intp)), *found]
 
 
 def _each(
-    marks: Array, ends: Array, times: Array, index: Index, comes: Array, measured: Mask, tiny: float
-) -> list[ResultsIn]:
-    """What is in from each of some times on: all before the first sample of which something is out."""
+    marks: Array, ends: Array, times: Array, index: Index, comes: Array, measured: Mask, tiny: float,
+    before: float = -np.inf,
+) -> list[ResultsIn]:  # fmt: skip
+    """What is in from each of some times on: all before the first sample of which something is out.
+
+    `before` is the time of the last result before them.
+    """
     tops = np.maximum.accumulate(np.max(comes, axis=1, where=measured, initial=-np.inf))
     lows = np.minimum.accumulate(np.min(comes, axis=1, where=measured, initial=np.inf)[::-1])[::-1]
     lasts = np.searchsorted(lows, marks + tiny, side="right") - 1
     firsts = np.minimum(np.searchsorted(tops, marks + tiny, side="right"), lasts)
-    found = list[ResultsIn]()
-    for begin, end, first, last in zip(marks.tolist(), ends.tolist(), firsts.tolist(), lasts.tolist(), strict=True):
-        part = slice(first, last + 1)
+    found, came = list[ResultsIn](), np.argwhere(measured & (comes > before + tiny))
+    at = np.searchsorted(marks + tiny, comes[tuple(came.T)])
+    for m, (begin, end, first, last) in enumerate(zip(marks, ends, firsts.tolist(), lasts.tolist(), strict=True)):
+        part, new = slice(first, last + 1), came[at == m]
         arrived = measured[part] & (comes[part] <= begin + tiny)
-        found.append(ResultsIn(begin, end, index[part], times[part], arrived))
+        new = np.column_stack([new[:, 0] - first, index[new[:, 0]], new[:, 1]])
+        found.append(ResultsIn(float(begin), float(end), index[part], times[part], arrived, new))
     return found
 
 

@@ -83,6 +83,7 @@ class KnownSpan(NamedTuple):
     time: float  # of that sample, since the first one of the system
     begin: float  # begin, end: since that sample
     end: float
+    new: tuple[tuple[int, int], ...] = ()  # what comes in as it begins: the node of its sample, and the output
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +136,13 @@ class SampledSystem:
     def judged(self) -> dict[int, KnownSpan]:
         """The same by node."""
         return {span.node: span for span in self.spans}
+
+    @cached_property
+    def incoming(self) -> dict[tuple[int, int], int]:
+        """By sample and output the node of each result: its sample with no more than what is in when that comes."""
+        if self.known_spans:
+            return {(self.sample_of(node), i): node for span in self.known_spans for node, i in span.new}
+        return {(j, i): j for j, sample in enumerate(self.samples) for i in sample.outputs.tolist()}
 
     def sample_of(self, j: int) -> int:
         """Which of the samples node j is."""

@@ -7,7 +7,8 @@ A sample that is planned at t_j and comes e late, |e| <= d, is one at t_j with m
 and where every sample reads zero, x(t_j) is bounded: by g_j(u) = sup_e rho(C (e^{Ae} - I); t_j) + int h_W, with rho for
 noise within v + u. If g(u) < u in every entry, u is noise enough: rho is concave in u, so that g(a u) <= a g(u) < a u
 for a >= 1, and no trajectory's brackets can be a >= 1 times u where they are largest. In between, a row is known after
-sample j from t_j + d on, and until t_{j+1} + d there may be no other.
+sample j from t_j + d on, and until t_{j+1} + d there may be no other. Where results come one after the other, x(t_j) is
+bounded by what is in when that of the sample comes, and no more: later on only more is in.
 """
 
 from __future__ import annotations
@@ -125,13 +126,12 @@ def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart,
     late, g = question.timing_tolerance, np.zeros_like(question.bounds.v)
     forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
-    for j in question.samples.tolist():
-        for i in question.bounds.measured(j).tolist():
-            row = question.plant.C[i]
-            if known.unknown.shape[1] and any(known.touches(row @ power) for power in _powers(question.plant.A)):
-                return np.full_like(g, np.inf)
-            sides = float(forward[i]), float(back[i])
-            g[j, i] = sample_adds(search, j, row @ known.lift, sides, tables.setdefault(i, ({}, {})), seek)
+    for (j, i), node in search.system.incoming.items():
+        row = question.plant.C[i]
+        if known.unknown.shape[1] and any(known.touches(row @ power) for power in _powers(question.plant.A)):
+            return np.full_like(g, np.inf)
+        sides, table = (float(forward[i]), float(back[i])), tables.setdefault(i, ({}, {}))
+        g[j, i] = sample_adds(search, node, row @ known.lift, sides, table, seek)
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
     return g
@@ -141,7 +141,7 @@ def sample_adds(
     search: GainSearch, j: int, row: Array, sides: tuple[float, float],
     known: tuple[KnownIntegrals, KnownIntegrals], seek: bool,
 ) -> float:  # fmt: skip
-    """Return what sample j of an output adds at most that is so late or early; `row` (n,) is that of x.
+    """Return what the sample at node j of an output adds at most that is so late or early; `row` (n,) is that of x.
 
     `known` serves all samples of that output.
     """

@@ -94,7 +94,21 @@ def sequence_system(
     system, directions = _system_with_noise(plan, sequence, settles, limited=limited)
     if sequence.result_delay is None and not sequence.late:
         return system, directions
+    return _as_results_come(plan, sequence, system, directions, until)
+
+
+def _as_results_come(
+    plan: PlanFigures,
+    sequence: SampleSequence,
+    system: SampledSystem,
+    directions: list[BoundedDirections],
+    until: float = np.inf,
+) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
+    """A system and what its filter bounds, each result once it is in, up to the last sample or `until` a time; default:
+    until all are in."""
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=True)
+    if until == np.inf:
+        until = float(np.max(sequence.centres[:, None] + np.where(np.isfinite(comes), comes, 0.0)))
     system = with_results_out(replace(system, last=max(0.0, until - float(sequence.centres[-1]))), comes)
     return system, with_branches(system, directions)
 
@@ -125,7 +139,8 @@ def _system_with_noise(
         if not sequence.late:
             return system, directions
         work.add(SYSTEM, upto * n**2)
-        times = TimingEffects(plan, part, GainSearch(system, directions, lambda: work.add(GAINS, FEWEST * n)))
+        coming = _as_results_come(plan, part, system, directions) if part.in_parts else (system, directions)
+        times = TimingEffects(plan, part, GainSearch(*coming, lambda: work.add(GAINS, FEWEST * n)))
         found[:upto] = times.added(noise[:upto], usual[:upto], found[:upto], since)
         if not np.isfinite(found).all():
             break
@@ -188,7 +203,7 @@ class TimingEffects:
             if not self.aside[k].any() or self._settled(k, plain):
                 continue
             for i in self.search.system.samples[k].outputs.tolist():
-                found[k, i] = self._sample(k, i, float(usual[k, i]))
+                found[k, i] = self._sample(self.search.system.incoming[k, i], i, float(usual[k, i]))
         return found
 
     def _known(self, k: int) -> float:
@@ -207,6 +222,8 @@ class TimingEffects:
         back = proof_back(self.plan, phase)
         if k < back or self.known[k - back] > SETTLED or not plain[k - back : k + 1].all():
             return False
+        if self.search.system.again and np.isfinite(self.sequence.result_times[k - back : k + 1]).any():
+            return False  # results that came in another order
         run = self.phases[k - back : k + 1]
         follows = all(b == ((a or 0) + 1) % len(self.own) for a, b in pairwise(run))
         gaps = np.diff(self.sequence.centres[k - back : k + 1])
@@ -214,9 +231,9 @@ class TimingEffects:
         return follows and bool(np.all(np.abs(gaps - usual) <= GRAIN * self.plan.schedule.period))
 
     def _sample(self, k: int, i: int, enough: float) -> float:
-        """The same of one output of a sample; by gains where the filter's are not enough, the plan's if they fit."""
+        """The same of one output at a node; by gains where the filter's are not enough, the plan's if they fit."""
         row, most = self.plan.plant.C[i], 0.0
-        for back, late in enumerate(self.aside[k, :, i].tolist()):
+        for back, late in enumerate(self.aside[self.search.system.sample_of(k), :, i].tolist()):
             if not late:
                 continue
             table = self.tables.setdefault((i, late, bool(back)), {})
@@ -235,15 +252,19 @@ class TimingEffects:
 
     def _plan_gains(self, k: int, i: int, back: bool) -> tuple[Array, ...]:
         """The gains by which the plan's proof bounds this, as far back as the samples are the plan's."""
-        phase = self.phases[k]
+        system, proof, fitting = self.search.system, proof_system(self.plan), list[Array]()
+        phase = self.phases[system.sample_of(k)]
         if phase is None:
             return ()
-        gains, fitting = timing_gains(self.plan, phase, i, back), list[Array]()
-        for steps, lam in enumerate(reversed(gains)):
-            at, expected = k - steps, (phase - steps) % len(self.own)
-            if at < 0 or self.phases[at] != expected:
+        node = proof.incoming[phase % len(proof), i]
+        gains = timing_gains(self.plan, node, i, back)
+        paths = (reversed(each.latest(at, len(gains))) for each, at in ((system, k), (proof, node)))
+        for lam, at, expected in zip(reversed(gains), *paths, strict=False):
+            phase, own, usual = self.phases[system.sample_of(at)], system.samples[at], proof.samples[expected]
+            fits = phase is not None and phase % len(proof) == proof.sample_of(expected)
+            if not fits or not np.array_equal(own.outputs, usual.outputs):
                 break
-            fitting.append(lam * self.search.system.samples[at].size / self.own.samples[expected].size)
+            fitting.append(lam * own.size / usual.size)
         return tuple(reversed(fitting))
 
 
@@ -255,31 +276,33 @@ def proof_system(plan: PlanFigures) -> SampledSystem:
     return question.filter_bounds(plan.plant)[0]
 
 
-def _proof_part(plan: PlanFigures, phase: int) -> GapProof | None:
+def _proof_part(plan: PlanFigures, node: int) -> GapProof | None:
     assert plan.accuracy is not None
-    parts = [part for part in plan.accuracy.proof if part.sample == phase and len(part.directions)]
+    parts = [part for part in plan.accuracy.proof if part.sample == node and len(part.directions)]
     return parts[0] if parts else None
 
 
 @lru_cache(maxsize=512)
 def proof_back(plan: PlanFigures, phase: int) -> int:
-    """Samples that the gains of a plan's proof after one of them look back."""
-    part = _proof_part(plan, phase % len(proof_system(plan)))
-    return 0 if part is None else max(map(len, part.gains))
+    """Samples that the gains of a plan's proof after one of them look back, also where some results are out."""
+    own = proof_system(plan)
+    found = [phase % len(own), *(node for (j, _), node in own.incoming.items() if j == phase % len(own))]
+    parts = [part for node in found if (part := _proof_part(plan, node)) is not None]
+    return max([len(own.nodes(node, 0)) for node in found] + [len(gains) for part in parts for gains in part.gains])
 
 
 @lru_cache(maxsize=512)
-def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Array, ...]:
-    """The gains by which a plan's proof bounds what the time of a sample adds to an output, the latest last."""
+def timing_gains(plan: PlanFigures, node: int, i: int, back: bool) -> tuple[Array, ...]:
+    """The gains by which a plan's proof bounds what the time of a node adds to an output, the latest last."""
     own, late = proof_system(plan), plan.problem.timing_tolerance
     side = float(np.broadcast_to(late.back if back else late.forward, plan.plant.n_outputs)[i])
-    phase %= len(own)
-    part = _proof_part(plan, phase)
+    part = _proof_part(plan, node)
     if part is None:
         return ()
-    directions = BoundedDirections.of(own.reach[phase], part.directions, part.gains, [0.0] * len(part.gains))
-    mu = moved_row(own, phase, plan.plant.C[i], side, back, {}).mu[-1]
-    return combined_gains(own, phase, mu, directions)
+    reach = own.reach[own.sample_of(node)]
+    directions = BoundedDirections.of(reach, part.directions, part.gains, [0.0] * len(part.gains))
+    mu = moved_row(own, node, plan.plant.C[i], side, back, {}).mu[-1]
+    return combined_gains(own, node, mu, directions)
 
 
 def _noisier_system(

@@ -218,18 +218,26 @@ def test_early_apart_from_late_is_one_number_about_another_time(early, late):
     assert told.verify()
 
 
-def apart_from_rest(plant: Plant, row: Array, real: list[Array], t: float, w: float, v: float) -> float:
-    """How far w moves a row by t while each output reads zero at its own times (within v), from rest."""
+def apart_from_rest(
+    plant: Plant, row: Array, real: list[Array], t: float, w: float, v: float, begun: tuple[float, float] | None = None
+) -> float:
+    """How far w moves a row by t while each output reads zero at its own times (within v).
+
+    From rest; or from a time on, where each state is so large.
+    """
     n, q = plant.G.shape
-    times = np.unique(np.concatenate([*real, [t]]))
-    x, shown = np.zeros((n, 0)), list[Array]()
+    times = np.unique(np.concatenate([*real, [t], [] if begun is None else [begun[0]]]))
+    x, shown, e = np.eye(n)[:, : n * (begun is not None)], list[Array](), begun[1] if begun else 0.0
     for a, b in pairwise(times.tolist()):
         joint = expm(np.block([[plant.A, plant.G], [np.zeros((q, n + q))]]) * (b - a) / CELLS)
         for _ in range(CELLS):
             x = np.hstack([joint[:n, :n] @ x, joint[:n, n:]])
         shown += [plant.C[i] @ x for i, own in enumerate(real) if (b in own and b < t) or (b == t and b in own)]
     rows = np.vstack([np.pad(part, (0, x.shape[1] - part.size)) for part in shown])
-    found = linprog(-(row @ x), np.vstack([rows, -rows]), np.full(2 * len(rows), v), bounds=(-w, w))
+    bounds = np.where(np.arange(x.shape[1]) < n * (begun is not None), e, w)
+    found = linprog(
+        -(row @ x), np.vstack([rows, -rows]), np.full(2 * len(rows), v), bounds=np.array([-bounds, bounds]).T
+    )
     return -float(found.fun)
 
 
@@ -255,6 +263,29 @@ def test_outputs_that_fall_apart_make_no_error_larger_than_is_proven(seed: int):
         least = min(least, best)
     assert best <= found.upper[0] * (1 + 1e-9)
     assert 0 < found.lower[0] <= found.upper[0]
+
+
+@pytest.mark.parametrize("seed", few(range(30), 1))
+def test_what_is_still_out_says_nothing_of_the_times_of_what_is_in(seed: int):
+    """Of two outputs one is in after the other: the moment before each result, a linear program at times drawn."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(2, 2))
+    A -= np.eye(2) * (np.max(np.linalg.eigvals(A).real) + rng.uniform(-0.1, 0.3))
+    plant, gap = Plant(A, rng.normal(size=(2, 2)), outputs=["a", "b"]), float(rng.uniform(0.5, 1.0))
+    rows, after = np.eye(2), np.array([0.0, rng.choice([0.3, 0.9, 1.6]) * gap])
+    w, v, e = rng.uniform([0.01, 0.05, 0.5], [0.1, 0.5, 2.0]).tolist()
+    planned, sides = gap * np.arange(1, 4), gap * rng.uniform(0.0, 0.2, size=(2, 2))
+    found = guaranteed_accuracy(
+        plant, Schedule(planned), w_bound=[w, w], initial_error=[e, e], start=0.0, rtol=0.05,
+        v_bound={"a": v, "b": Sensor(noise_bound=v, result_delay=float(after[1]))},
+        timing_tolerance={"a": tuple(sides[0]), "b": tuple(sides[1])},
+    )  # fmt: skip
+    comes, edges = planned + sides[:, 1:] + after[:, None], found.profile.edges
+    for t in np.sort(np.ravel(comes))[1:] - 1e-6 * gap:
+        real = planned + np.where(rng.random((2, 3)) < 0.5, -sides[:, :1], sides[:, 1:])
+        shown, at = [own[own_in <= t] for own, own_in in zip(real, comes, strict=True)], np.searchsorted(edges, t)
+        for upper, row in zip(found.profile.upper[:, at - 2 : at + 1].max(axis=1), rows, strict=True):
+            assert apart_from_rest(plant, row, shown, t, w, v, (0.0, e)) <= upper * (1 + 1e-6)
 
 
 def test_where_the_error_grows_with_the_times_nothing_is_claimed():

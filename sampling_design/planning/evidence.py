@@ -212,7 +212,7 @@ def bound_holds(
 ) -> bool:
     """Whether both proofs hold: trajectories simulated anew, multipliers added up anew.
 
-    `covering` has no limits of its own; `limited` has those of the requirement; `most` is what plans may cost.
+    `covering` has no limits of its own; `limited` has those that rivals keep; `most` is what these may cost.
     """
     if bound.cost is not None and bound.cost.level < 1:  # what leaves more than that unknown may keep the tolerances
         return False

@@ -198,8 +198,9 @@ class Plan(PlanFigures):
         if not self._extras_hold():
             return False
         free, ends = problem.is_free, [problem.ends(g) for g in range(len(problem.goals))]
-        limited, most = CoveringRows(problem, fixed=free), limit_of(problem, self.cost)
-        loose = CoveringRows(without_limits(problem), fixed=free)
+        loose, most = CoveringRows(without_limits(problem), fixed=free), limit_of(problem, self.cost)
+        # where the least cost is sought, that is the limit: rivals need not keep the requirement's own
+        limited = loose if problem.requirement.aim == "cheapest" else CoveringRows(problem, fixed=free)
         return bound_holds(self.bound, loose, limited, discretize(problem), ends, most)
 
     def _extras_hold(self) -> bool:

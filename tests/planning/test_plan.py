@@ -211,6 +211,18 @@ def test_spacing_and_limits_are_kept():
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9
 
 
+@pytest.mark.parametrize("limits", [{"samples": 3}, {"cost_limit": 13.0}])
+def test_a_limit_beside_the_least_cost_changes_no_bound(limits):
+    plant = sd.Plant([[0.0]], [[1.0]], states=["level"])
+    terms = {"y1": {"noise_bound": 0.2, "price": 3.0}}
+    given = {"period": 4.0, "grid": 1.0, "w_bound": [0.1], "sensors": terms, "visit_price": 1.0}
+    wanted = sd.PlanRequirement({"level": 0.45}, **given)
+    plain, limited = (sd.plan_samples(plant, own, **BARE) for own in (wanted, wanted.replace(aim="cheapest", **limits)))
+    assert limited.verify()
+    assert limited.cost == plain.cost == limited.bound.cost.value == 8.0
+    assert limited.bound.ratio.level == plain.bound.ratio.level
+
+
 def test_a_plant_that_comes_to_rest_by_itself_has_one_sample_at_least():
     plant = sd.Plant([[-1.0]], [[1.0]], time_unit="h", outputs=["y"], states=["level"])
     hours = {"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Sun": [["08:00", "10:00"]]}}

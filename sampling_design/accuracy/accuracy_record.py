@@ -219,9 +219,9 @@ class Accuracy(AccuracyBracket, CurveRecord):
             return False
         tops = []
         for k in np.flatnonzero(~lost):
-            found = search.opened(self.rows.matrix[k] @ known.lift)
-            open_ends = not any(np.isfinite(nodes).any() for nodes in found.nodes.values())
-            tops.append(np.inf if open_ends else search.top(found)[0])
+            opened = search.opened(self.rows.matrix[k] @ known.lift)
+            open_ends = not any(np.isfinite(nodes).any() for nodes in opened.nodes.values())
+            tops.append(np.inf if open_ends else search.top(opened)[0])
         return bool(np.all(tops <= self.upper[~lost] * (1 + KEPT)))
 
     def _lower_holds(self, k: int, known: DetectablePart) -> bool:
@@ -277,10 +277,10 @@ class Accuracy(AccuracyBracket, CurveRecord):
 
     def _delays(self) -> str:
         """How long after their samples results come, in words."""
-        found = self.result_delay or {}
-        if len(set(found.values())) == 1:
-            return f"{short(next(iter(found.values())))} {self.plant.time_unit}"
-        return ", ".join(f"{short(delay)} {self.plant.time_unit} ({name})" for name, delay in found.items())
+        delays = self.result_delay or {}
+        if len(set(delays.values())) == 1:
+            return f"{short(next(iter(delays.values())))} {self.plant.time_unit}"
+        return ", ".join(f"{short(delay)} {self.plant.time_unit} ({name})" for name, delay in delays.items())
 
     def _why(self) -> str:
         modes = modes_with(self.unknown)

@@ -48,9 +48,9 @@ class BoundedDirections:
         cls, reach: Array, mu: Array, gains: Sequence[tuple[Array, ...]], values: Sequence[float]
     ) -> BoundedDirections:
         """Those that were kept, all of them."""
-        found = cls(np.eye(len(reach)), reach)
-        found.mu, found.gains = mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)]
-        return found
+        directions = cls(np.eye(len(reach)), reach)
+        directions.mu, directions.gains = mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)]
+        return directions
 
     @property
     def whole(self) -> bool:
@@ -134,11 +134,11 @@ class BoundedDirections:
             one, two = one * lengths[0] / unit[first], two * lengths[0] / unit[second]
             left = X - one[..., None] * Y[first]
             left -= two[..., None] * Y[second]
-            found = np.abs(one) * bounded[first] + np.abs(two) * bounded[second]
-            found += np.abs(left, out=left).sum(axis=-1)
-            found[alike | ~(found < value)] = np.inf
-            at = np.argmin(found, axis=0), rows
-            least = found[at]
+            combined = np.abs(one) * bounded[first] + np.abs(two) * bounded[second]
+            combined += np.abs(left, out=left).sum(axis=-1)
+            combined[alike | ~(combined < value)] = np.inf
+            at = np.argmin(combined, axis=0), rows
+            least = combined[at]
             better = least < value
             if better.any():
                 place = np.where(better[:, None], np.stack([first[at], second[at]], axis=1), place)
@@ -173,12 +173,12 @@ class BoundedDirections:
         """Return what the reach bounds of the rests of targets: nothing of them may lie outside the basis."""
         scaled = rest @ self.basis
         endless = ~np.isfinite(self.reach)
-        found = np.abs(scaled) @ np.where(endless, 0.0, self.reach)
+        bound = np.abs(scaled) @ np.where(endless, 0.0, self.reach)
         if endless.any():
-            found = np.where(np.any(scaled[..., endless] != 0, axis=-1), np.inf, found)
+            bound = np.where(np.any(scaled[..., endless] != 0, axis=-1), np.inf, bound)
         if self.whole:
-            return np.asarray(found)
-        return np.where(self.determines(rest, targets), found, np.inf)
+            return np.asarray(bound)
+        return np.where(self.determines(rest, targets), bound, np.inf)
 
     def determines(self, rest: Array, targets: Array | None = None) -> Mask:
         """Say whether nothing of the rests of targets (default: of themselves) lies outside the basis."""

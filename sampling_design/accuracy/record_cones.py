@@ -108,21 +108,21 @@ class RecordCones:
 
     def read(self, y: Array) -> tuple[Array, Array]:
         """Return gains of the rows in plain units, and multipliers (K-1, n) of the gaps, from those of all cones."""
-        found, m = np.zeros(len(self._unit)), self._boxed.size
-        found[self._exact] = y[self._exact_at : self._exact_at + self._exact.size]
-        found[self._boxed] = y[self._up : self._up + m] - y[self._down : self._down + m]
-        found[self._below] = np.maximum(y[self._below_at : self._below_at + self._below.size], 0.0)
+        gains, m = np.zeros(len(self._unit)), self._boxed.size
+        gains[self._exact] = y[self._exact_at : self._exact_at + self._exact.size]
+        gains[self._boxed] = y[self._up : self._up + m] - y[self._down : self._down + m]
+        gains[self._below] = np.maximum(y[self._below_at : self._below_at + self._below.size], 0.0)
         for at, chosen in self._rounds:
-            found[chosen] = y[at + 1 : at + 1 + len(chosen)]
-        return found / self._unit, y[: (self._K - 1) * self._n].reshape(-1, self._n)
+            gains[chosen] = y[at + 1 : at + 1 + len(chosen)]
+        return gains / self._unit, y[: (self._K - 1) * self._n].reshape(-1, self._n)
 
     def _sizes(self, which: str) -> Array:
         """What b gains when some bounds grow by their own size."""
-        found = np.zeros(len(self.b))
+        growth = np.zeros(len(self.b))
         for at, sizes, whose in self._grown:
             if which in ("all", whose):
-                found[at : at + sizes.size] += sizes
-        return found
+                growth[at : at + sizes.size] += sizes
+        return growth
 
     def loosened(self, multiple: float) -> Array:
         """b for bounds so many times as large."""

@@ -190,7 +190,7 @@ class BallSystem:
     def bounds(self, j: int, mus: list[list[Ball]], directions: BoundedDirections, values: list[Ball]) -> list[Ball]:
         """Bounds on rho of directions by the fits of floats, whose rests are balls."""
         fit = directions.fit(np.array([[float(x) for x in mu] for mu in mus]))
-        found = []
+        bounds = []
         for mu, places, shares in zip(mus, *fit, strict=True):
             total, left = ball(0.0), mu
             for place, share in zip(places, shares, strict=True):
@@ -199,8 +199,8 @@ class BallSystem:
                     total += abs(a) * values[place]
                     left = [x - a * ball(y) for x, y in zip(left, directions.mu[place], strict=True)]
             fitted, plain = (total + self.rest(j, left)).upper(), self.rest(j, mu)
-            found.append(fitted if fitted < plain else plain)
-        return found
+            bounds.append(fitted if fitted < plain else plain)
+        return bounds
 
     def top(self, j: int, row: Array, directions: BoundedDirections, values: list[Ball]) -> Ball:
         """An upper bound on rho of a row over all real times of gap j."""
@@ -237,19 +237,19 @@ def proven_above(system: SampledSystem, rows: Array, uppers: Array, proof: tuple
         balls = BallSystem(system)
         if not balls.prove_reach():
             return False
-        kept: dict[int, tuple[BoundedDirections, list[Ball]]] = {}
+        bounded: dict[int, tuple[BoundedDirections, list[Ball]]] = {}
         for part in proof:
             values = [balls.evaluated(part.sample, mu, g) for mu, g in zip(part.directions, part.gains, strict=True)]
             directions = BoundedDirections.of(
                 system.reach[part.sample], part.directions, part.gains, [float(x) for x in values]
             )
-            kept[part.sample] = directions, values
-        if sorted(kept) != list(range(len(system))):
+            bounded[part.sample] = directions, values
+        if sorted(bounded) != list(range(len(system))):
             return False
         return all(
             balls.top(j, row, directions, values) <= ball(upper)
             for row, upper in zip(rows, uppers, strict=True)
-            for j, (directions, values) in kept.items()
+            for j, (directions, values) in bounded.items()
         )
 
 
@@ -264,10 +264,10 @@ def proven_below(witness: AccuracyWitness, bounds: SignalBounds, lower: float) -
     with precision(BITS):
         response, most, value = _BallTrajectory(witness, bounds), ball(1.0), ball(0.0)
         for k in range(len(witness.states)):
-            found = response.gap(k)
-            if found is None:
+            reached = response.gap(k)
+            if reached is None:
                 return False
-            most, value = _larger(most, found[0]), found[1]
+            most, value = _larger(most, reached[0]), reached[1]
         return bool(value / most >= ball(lower))
 
 

@@ -150,9 +150,9 @@ class GainSearch:
         """Gains for mu'z_j over `back` samples, kept with the direction; good ones, if they prove `enough`."""
         self.solves += 1
         self._tell()
-        found = self.window(j, self.back, False).gains(mu, enough)
-        self.directions[j].add(mu, found)
-        return found
+        gains = self.window(j, self.back, False).gains(mu, enough)
+        self.directions[j].add(mu, gains)
+        return gains
 
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept.

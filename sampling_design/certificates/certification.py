@@ -379,8 +379,8 @@ def chosen(
             except UndecidedError:
                 pass
         try:
-            found = zip(choose_weights(canon, bounds, gains, progress, searching), asked, strict=True)
-            return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
+            ranked = zip(choose_weights(canon, bounds, gains, progress, searching), asked, strict=True)
+            return [_best_proven(problem, canon, choices, eta, *each) for choices, each in ranked]
         except UndecidedError as error:
             if origin_question(plain):  # dates are asked for their origin, and not followed from time 0
                 raise

@@ -62,13 +62,13 @@ def read_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
     where = os.fspath(path)
     data = file_io.from_json(file_io.read_text(where), where)
     try:
-        found = certificate_from_dict(data, where)
+        certificate = certificate_from_dict(data, where)
     except ArgumentError as error:
         raise FileFormatError(f"{where}: is no certificate: {error}", where) from None
-    if plant is not None and (other := first_difference(plant, found.plant)):
-        who = found.plant.name or "unnamed"
+    if plant is not None and (other := first_difference(plant, certificate.plant)):
+        who = certificate.plant.name or "unnamed"
         raise CertificateError(f"{where}: certifies another plant ({who}): {other}.", path=where)
-    return found
+    return certificate
 
 
 def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertificate:
@@ -78,23 +78,23 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
     the digest does not fit.
     """
     try:
-        found = claims.certificate(data)
+        content = claims.certificate(data)
     except BadFile as error:
         sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
         if error.broken == "digest":
             sentence = f"{where}: {sentence}"
             raise FileFormatError(sentence, where) from None
         raise ArgumentError(sentence) from None
-    if isinstance(found, OfInterval):
+    if isinstance(content, OfInterval):
         raise FileFormatError(
             f"{where}: holds an interval. Use Interval.read (sampling_design.accuracy.interval).", where
         )
-    read = READERS.get(type(found)) or offered("read_certificate", data["claim"], SampledCertificate)
+    read = READERS.get(type(content)) or offered("read_certificate", data["claim"], SampledCertificate)
     assert read is not None, "a claim that the auditor reads and nobody else"
-    return read(data, plant_from_dict(data["plant"], where), found)
+    return read(data, plant_from_dict(data["plant"], where), content)
 
 
-def _sampled(data: Tree, plant: Plant, found: schedule_file.Sampled) -> Certificate:
+def _sampled(data: Tree, plant: Plant, content: schedule_file.Sampled) -> Certificate:
     return Certificate(plant, times_from_dict(data["times"]), **values_of(data))
 
 
@@ -103,15 +103,15 @@ def graph_from(words: list[list[float]], read: family_file.Graph) -> PathComplet
     return PathCompleteGraph(tuple(tuple(word) for word in words), read.edges)
 
 
-def _of_family(data: Tree, plant: Plant, found: family_file.OfFamily) -> FamilyCertificate:
-    graph = graph_from(data["graph"]["words"], found.graph)
+def _of_family(data: Tree, plant: Plant, content: family_file.OfFamily) -> FamilyCertificate:
+    graph = graph_from(data["graph"]["words"], content.graph)
     values = values_of(data)
     n = plant.n_states
-    P = [checks.definite("P2", values["P2"], n), *(checks.definite("graph.P", M, n) for M in found.graph.P[1:])]
+    P = [checks.definite("P2", values["P2"], n), *(checks.definite("graph.P", M, n) for M in content.graph.P[1:])]
     return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
 
 
-def _detectable(data: Tree, plant: Plant, found: detectability.Detectability) -> DetectabilityCertificate:
+def _detectable(data: Tree, plant: Plant, content: detectability.Detectability) -> DetectabilityCertificate:
     values = {key: data[key] for key in ("P", *_RATES, "method")}
     solver = None if data["solver"] is None else SolverRecord(**data["solver"])
     return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)

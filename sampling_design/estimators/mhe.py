@@ -300,28 +300,28 @@ class MovingHorizonEstimator(WindowedEstimator):
         if not np.isfinite(terms):
             return None
         energies = self._kept_energy(window.masks) * window.discount
-        found: list[tuple[float, int, int, float, float]] = []
+        suspects: list[tuple[float, int, int, float, float]] = []
         for j in map(int, window.samples):
             for i in map(int, np.flatnonzero(window.masks[j])):
-                rest = _without(window, j, i)
-                own = float(energies[j] - self._kept_energy(rest.masks[j : j + 1])[0] * window.discount[j])
+                remaining = _without(window, j, i)
+                own = float(energies[j] - self._kept_energy(remaining.masks[j : j + 1])[0] * window.discount[j])
                 # a bound on the norm is that of the sample: what one output leaves of it is all of it
                 room = own if own > 0 else float(energies[j])
-                found.append((smooth(rest).dual - (terms - own), j, i, own, room))
+                suspects.append((smooth(remaining).dual - (terms - own), j, i, own, room))
         if self.constraints.active or window.limits is not None:
-            found.sort()
-            found = [
+            suspects.sort()
+            suspects = [
                 (self._over(_without(window, j, i), terms - own), j, i, own, room)
-                for _, j, i, own, room in found[:SUSPECTS]
+                for _, j, i, own, room in suspects[:SUSPECTS]
             ]
         for k, mean in enumerate(() if window.means is None else window.means.readings):
-            rest = replace(window, means=window.means and window.means.without(k))
-            own, end = self._mean_noise_energy(window) - self._mean_noise_energy(rest), mean.end
+            remaining = replace(window, means=window.means and window.means.without(k))
+            own, end = self._mean_noise_energy(window) - self._mean_noise_energy(remaining), mean.end
             room = own if own > 0 else self._mean_noise_energy(window, end)
-            found.append((self._over(rest, terms - own), end, mean.output, own, room))
-        if not found:  # limits alone contradict the bounds: no number is the one to blame
+            suspects.append((self._over(remaining, terms - own), end, mean.output, own, room))
+        if not suspects:  # limits alone contradict the bounds: no number is the one to blame
             return None
-        over, j, i, _, room = min(found)
+        over, j, i, _, room = min(suspects)
         alone = over <= CONTRADICTION * terms
         room = np.float64(room if alone else terms)
         with np.errstate(divide="ignore", over="ignore"):

@@ -149,8 +149,8 @@ class WindowedEstimator(OnlineEstimator):
             return sample._replace(censored=nothing_said(sample.censored))
 
         def known(rows: Array) -> tuple[Array, Array]:
-            found = self._predict(state, sample.t).interval(rows)
-            return found.lower, found.upper
+            interval = self._predict(state, sample.t).interval(rows)
+            return interval.lower, interval.upper
 
         unread = assumed.unread(sample.t, state.inputs)
         censored = resolved(unread, sample.t, sample.censored, known, self.before, waiting=True)
@@ -171,15 +171,15 @@ class WindowedEstimator(OnlineEstimator):
         proven = censored_together(unread, rows, assumed.noise, self.before)
         if proven is None:
             return state
-        held = first._replace(box=StateBox(proven[0], until=last))
-        found = state._replace(nodes=(*state.nodes[:begun], held, *state.nodes[begun + 1 : at]))
+        boxed = first._replace(box=StateBox(proven[0], until=last))
+        settled = state._replace(nodes=(*state.nodes[:begun], boxed, *state.nodes[begun + 1 : at]))
         said = {row.t: censored for row, censored in zip(rows, proven[1], strict=True)}
         for node in state.nodes[at:]:
             means = [each for each in node.sample.censored if each.since is not None]
             censored = tuple(sorted((*means, *said[node.t]), key=lambda each: each.output))
-            sample = node.sample._replace(censored=censored) if node.waits else self._resolved(found, node.sample)
-            found = found._replace(nodes=(*found.nodes, self._advance(found, sample)._replace(until=last)))
-        return found
+            sample = node.sample._replace(censored=censored) if node.waits else self._resolved(settled, node.sample)
+            settled = settled._replace(nodes=(*settled.nodes, self._advance(settled, sample)._replace(until=last)))
+        return settled
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)

@@ -66,10 +66,10 @@ def bound(name: str, value: object, length: int) -> Array:
     """
     if dimensions(value) == 0:
         return np.asarray(nonnegative(name, value))
-    found = vector(name, value, length)
-    if np.any(found < 0):
-        raise ArgumentError(f"`{name}` must not be negative, got {float(found.min())!r}.")
-    return found
+    entries = vector(name, value, length)
+    if np.any(entries < 0):
+        raise ArgumentError(f"`{name}` must not be negative, got {float(entries.min())!r}.")
+    return entries
 
 
 def real_array(name: str, value: object, ndim: int) -> Array:

@@ -107,14 +107,14 @@ def columns(record: object, what: str) -> dict[str, Column]:
     what : str
         "time:times lower upper", as `selected` reads names; of "points{samples sigma}" a column for each name.
     """
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     for key, _, path, inner in ITEM.findall(what):
         value = cast("Sequence[object]", _reached(record, path or key))
         if not inner:
-            found[key] = value
+            columns[key] = value
         for name, _, own, _ in ITEM.findall(inner):
-            found[name] = [_reached(each, own or name) for each in value]
-    return found
+            columns[name] = [_reached(each, own or name) for each in value]
+    return columns
 
 
 def _selection(record: object, what: str) -> Iterator[tuple[str, Plain]]:

@@ -49,11 +49,11 @@ def offered(verb: str, thing: object, result: type[Result]) -> Callable[..., Res
     kinds = [thing] if isinstance(thing, str) else [_place(each) for each in type(thing).__mro__]
     if not any((verb, kind) in _OFFERED for kind in kinds):
         _ask_rings()
-    found = next((_OFFERED[verb, kind] for kind in kinds if (verb, kind) in _OFFERED), None)
-    if isinstance(found, str):
-        module, _, function = found.partition(":")
-        found = getattr(import_module(module), function)
-    return cast("Callable[..., Result] | None", found)
+    answering = next((_OFFERED[verb, kind] for kind in kinds if (verb, kind) in _OFFERED), None)
+    if isinstance(answering, str):
+        module, _, function = answering.partition(":")
+        answering = getattr(import_module(module), function)
+    return cast("Callable[..., Result] | None", answering)
 
 
 def registered(verb: str, plant: object, result: type[Result]) -> Callable[..., Result]:
@@ -61,12 +61,12 @@ def registered(verb: str, plant: object, result: type[Result]) -> Callable[..., 
 
     Raises ArgumentError if no kind of plant that it is of takes part in that verb.
     """
-    found = offered(verb, plant, result)
-    if found is None:
+    function = offered(verb, plant, result)
+    if function is None:
         from sampling_design.errors import ArgumentError
 
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    return found
+    return function
 
 
 @cache

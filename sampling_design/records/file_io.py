@@ -90,9 +90,9 @@ def _unreadable(where: str, error: OSError) -> FileFormatError:
 def _nearby(where: str) -> str:
     """The file in the same folder that may have been meant."""
     with suppress(OSError, ValueError):
-        found = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
+        names = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
         name = Path(where).name
-        stems = {Path(each).stem: each for each in sorted(found, reverse=True)}  # an ending makes no two names alike
+        stems = {Path(each).stem: each for each in sorted(names, reverse=True)}  # an ending makes no two names alike
         near = [name] if name in stems else difflib.get_close_matches(Path(name).stem, stems, 1)
         return f" Did you mean {stems[near[0]]}?" if near else ""
     return ""
@@ -110,7 +110,7 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
     write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5. Raises FileFormatError if a
     quote is left open or a cell is beyond all measure.
     """
-    found: list[tuple[int, list[str]]] = []
+    rows: list[tuple[int, list[str]]] = []
     for number, line in lines:
         mark = mark or separator(line)
         try:
@@ -123,8 +123,8 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
         cells = [cell.strip() for cell in row]
         if mark != ",":
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
-        found.append((number, cells))
-    return found
+        rows.append((number, cells))
+    return rows
 
 
 def csv_cell(text: str) -> str:

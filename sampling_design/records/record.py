@@ -241,17 +241,17 @@ class ListRecord(Record, Generic[Listed]):
     @overload
     def __getitem__(self, place: slice) -> list[Listed]: ...
     def __getitem__(self, place: int | slice) -> Listed | list[Listed]:
-        found = self._entries()
+        entries = self._entries()
         if isinstance(place, slice):
-            return list(found[place])
+            return list(entries[place])
         if not is_whole(place):
             where = self._where(place) if is_text(place) else ""
             raise CallError(f"`place` must be a whole number or a slice, got {checks.described(place)}.{where}")
-        if not -len(found) <= place < len(found):
+        if not -len(entries) <= place < len(entries):
             raise IndexError(
-                f"`place` = {place} is outside: this {type(self).__name__} has {counted(len(found), 'row')}."
+                f"`place` = {place} is outside: this {type(self).__name__} has {counted(len(entries), 'row')}."
             )
-        return found[place]
+        return entries[place]
 
 
 class TableRecord(ListRecord[dict[str, object]]):
@@ -259,8 +259,8 @@ class TableRecord(ListRecord[dict[str, object]]):
 
     def _entries(self) -> Sequence[dict[str, object]]:
         """Each row by the names of its columns."""
-        names = tuple(found := self._columns())
-        plain = (getattr(column, "tolist", lambda column=column: column)() for column in found.values())
+        names = tuple(columns := self._columns())
+        plain = (getattr(column, "tolist", lambda column=column: column)() for column in columns.values())
         return [dict(zip(names, row, strict=True)) for row in zip(*plain, strict=True)]
 
     def _where(self, name: str) -> str:

@@ -249,13 +249,13 @@ def _unpacked(hints: dict[str, object], parameters: Sequence[inspect.Parameter])
 
 def hints_of(function: Callable[..., Any]) -> dict[str, object]:
     """The annotations of the parameters, those apart that name what only a type checker imports."""
-    found, known = {}, getattr(function, "__globals__", {})
+    hints, known = {}, getattr(function, "__globals__", {})
     for name, hint in inspect.get_annotations(function).items():
         try:
-            found[name] = eval(hint, known) if is_text(hint) else hint
+            hints[name] = eval(hint, known) if is_text(hint) else hint
         except NameError:
             continue
-    return found
+    return hints
 
 
 def checked_methods(cls: type[T]) -> type[T]:
@@ -353,9 +353,9 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
         if value is default:
             return value
         for _, take in kinds:
-            found = take(name, value)
-            if found is not _NO:
-                return found
+            taken = take(name, value)
+            if taken is not _NO:
+                return taken
         seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
         likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
         raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely}")
@@ -382,8 +382,8 @@ def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]] | 
     """The words and the test of every alternative of an annotation; None of one that says nothing to be checked."""
     origin = typing.get_origin(hint)
     if origin in (Union, types.UnionType):
-        found = [_kinds(member) for member in typing.get_args(hint)]
-        return None if None in found else [kind for kinds in found for kind in kinds or ()]
+        members = [_kinds(member) for member in typing.get_args(hint)]
+        return None if None in members else [kind for kinds in members for kind in kinds or ()]
     if origin is Literal:
         allowed = typing.get_args(hint)
         return [(f"one of {', '.join(map(repr, allowed))}", lambda _, v: v if _among(v, allowed) else _NO)]

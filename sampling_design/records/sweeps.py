@@ -69,8 +69,8 @@ class Journal(Generic[Kept]):
             entry = table({"name": text, "result": read})
             with file_io.usable(where):
                 for k, line in enumerate(whole[1:], 2):
-                    held = entry(file_io.from_json(line, where), f"line {k}")
-                    self.known[held["name"]] = held["result"]
+                    answered = entry(file_io.from_json(line, where), f"line {k}")
+                    self.known[answered["name"]] = answered["result"]
         if cut or not whole:
             kept = whole or [json.dumps(head)]
             file_io.write_text(path, "".join(line + "\n" for line in kept))
@@ -141,10 +141,10 @@ class Sweep(PlainRecord):
         if name not in self.names:
             raise ArgumentError(f"`name` must be one of {', '.join(self.names)}, got {name!r}.")
         k = self.names.index(name)
-        found = self.answers[k]
-        if found is None:
+        answer = self.answers[k]
+        if answer is None:
             raise ArgumentError(f"`name` = {name!r} has no answer: {self.obstacles[k]}")
-        return found
+        return answer
 
     def _rows(self) -> list[tuple[str, str]]:
         return [(name, obstacle or "answered") for name, obstacle in zip(self.names, self.obstacles, strict=True)]
@@ -228,12 +228,12 @@ def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> Answer:
     """The answer as plain data, the same as it would be after a way through a file."""
     question, item = job
     try:
-        found = question(item)
+        answer = question(item)
     except SamplingDesignError as error:
         return None, str(error) or type(error).__name__
-    if not isinstance(found, HasDict):
-        raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(found)}.")
-    return from_json(to_json(found.to_dict()), "the answer"), ""
+    if not isinstance(answer, HasDict):
+        raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(answer)}.")
+    return from_json(to_json(answer.to_dict()), "the answer"), ""
 
 
 def _read(value: object, place: str) -> Answer:

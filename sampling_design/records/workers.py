@@ -151,10 +151,10 @@ def _processes(count: int) -> Executor:
     from joblib.externals.loky import get_reusable_executor
 
     many = cpu_count() if count < 0 else count
-    found: Executor = get_reusable_executor(max_workers=many, initializer=_ready)
+    pool: Executor = get_reusable_executor(max_workers=many, initializer=_ready)
     with _deaf(), suppress(BrokenExecutor):
-        found.submit(_ready)  # starts them all
-    return found
+        pool.submit(_ready)  # starts them all
+    return pool
 
 
 def _surviving(
@@ -244,10 +244,10 @@ def _finished(
     """Yield futures as they end, unless the cluster is left without scheduler or without workers."""
     waiting, last_alive = set(futures), now()
     while waiting:
-        found, waiting = wait(waiting, timeout=PATIENCE, return_when=FIRST_COMPLETED)
-        yield from sorted(found, key=lambda future: future.cancelled() or future.exception() is not None)
+        finished, waiting = wait(waiting, timeout=PATIENCE, return_when=FIRST_COMPLETED)
+        yield from sorted(finished, key=lambda future: future.cancelled() or future.exception() is not None)
         try:
-            if found or client.nthreads():
+            if finished or client.nthreads():
                 last_alive = now()
         except (OSError, TimeoutError):
             raise ended("the Dask scheduler was lost") from None
@@ -273,10 +273,10 @@ def cluster(address: str) -> Client:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         connect: Callable[..., Client] = DaskClient
-        found = connect(address, timeout=PATIENCE)
+        client = connect(address, timeout=PATIENCE)
     except (OSError, TimeoutError, ValueError) as error:
         raise ArgumentError(
             f"`scheduler` must be the address of a running Dask scheduler such as tcp://10.0.0.5:8786, got {address!r} "
             f"({str(error) or type(error).__name__:.80})."
         ) from None
-    return found
+    return client

@@ -38,7 +38,7 @@ class AprioriBound:
         energy = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
         noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.sample_weights(line.masks), inputs.v)
         decay = np.exp(-self.rate * line.lengths)
-        found = np.empty((rows.at.size, total.size))
+        radii = np.empty((rows.at.size, total.size))
         last = 0
         for row, (b, after) in enumerate(zip(rows.at, rows.after, strict=True)):
             for c in range(last, b):
@@ -46,8 +46,8 @@ class AprioriBound:
             last = b
             if after and int(b) in samples:
                 total = total + noise[:, samples[int(b)]]
-            found[row] = total
-        return self.gain * found.T
+            radii[row] = total
+        return self.gain * radii.T
 
     def sample_weights(self, masks: Array) -> Array:
         """Return the weight of v at each of N samples, (N, p, p): what is not measured is free."""
@@ -79,13 +79,13 @@ def apriori_bound_of(
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
         root = np.asarray(np.linalg.cholesky(certificate.P1).T)
         return AprioriBound("filtered arrival cost, full rate", root, *inside, rate=certificate.eta, gain=1.0)
-    found = certificate.horizon("improved" if cost == "certificate" else "paper", horizon)
-    root = np.asarray(np.linalg.cholesky(certificate.P2 / found.lam).T)
+    promised = certificate.horizon("improved" if cost == "certificate" else "paper", horizon)
+    root = np.asarray(np.linalg.cholesky(certificate.P2 / promised.lam).T)
     if cost == "certificate":
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
-        return AprioriBound("improved horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)
+        return AprioriBound("improved horizon theorem", root, *inside, rate=promised.eta_tilde, gain=1.0)
     inside = certificate.P2, certificate.Qw, 2 * certificate.Qv
-    return AprioriBound("Theorem 9", root, *inside, rate=found.eta_tilde, gain=4 * found.lam)
+    return AprioriBound("Theorem 9", root, *inside, rate=promised.eta_tilde, gain=4 * promised.lam)
 
 
 MOST_TARGETS = 60  # rows at which the worst energy is computed; they are spread evenly where there are more

@@ -91,11 +91,11 @@ class EstimatorStudy:
         )
 
     def _runs(self, inputs: ErrorSources) -> list[EstimatedRun]:
-        found = []
+        runs = []
         for k in range(len(inputs.e0)):
             self.estimator.start(np.zeros(self.line.plant.n_states), 0.0)
-            found.append(real_run(self.line, self.rows, true_run(self.line, inputs, k, steered=False), self.estimator))
-        return found
+            runs.append(real_run(self.line, self.rows, true_run(self.line, inputs, k, steered=False), self.estimator))
+        return runs
 
     def _growth(self, name: str, size: Array) -> list[ClaimCheck]:
         if name not in GROWTH_LIMIT:
@@ -106,13 +106,13 @@ class EstimatorStudy:
 
     def _promised(self, name: str, runs: list[EstimatedRun]) -> list[ClaimCheck]:
         """Of the estimates that say that their ellipsoid is proven, whether it held the truth."""
-        found = [
+        ratios = [
             each.ratio(x)
             for run in runs
             for each, x in zip(run.estimates, run.truth.states[self.rows.at], strict=True)
             if each.certified
         ]
-        return [ClaimCheck("online ellipsoid", name, 1.0, max(found))] if found else []
+        return [ClaimCheck("online ellipsoid", name, 1.0, max(ratios))] if ratios else []
 
 
 @checked

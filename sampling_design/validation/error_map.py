@@ -92,7 +92,7 @@ class ErrorMap:
         d = self._displacements(inputs.w)
         v = np.einsum("jab,rjb->jra", self.weigh, inputs.v)
         e, radius = np.array(inputs.e0), np.full(runs, self.prior_energy)
-        found, radii = np.empty((rows.at.size, runs, n)), np.empty((rows.at.size, runs))
+        errors, radii = np.empty((rows.at.size, runs, n)), np.empty((rows.at.size, runs))
         online: list[tuple[Array, Array]] = [(e, radius)] * line.events.size
         row = 0
         for b in range(line.times.size):
@@ -101,14 +101,14 @@ class ErrorMap:
                 radius = self._radius_after(radius, line.lengths[b - 1])
             k = events.get(b)
             if k is not None and k in solves:
-                found[row], radii[row] = e, radius
+                errors[row], radii[row] = e, radius
                 row += 1
                 e, radius = self._solve(solves[k], online, (inputs.e0, d, v))
             if k is not None:
                 online[k] = e, radius
-            found[row], radii[row] = e, radius
+            errors[row], radii[row] = e, radius
             row += 1
-        return RunErrors(found.transpose(1, 0, 2), radii.T)
+        return RunErrors(errors.transpose(1, 0, 2), radii.T)
 
     def _radius_after(self, radius: Array, h: float) -> Array:
         return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted_length(self.eta, h))
@@ -186,24 +186,24 @@ class _ErrorMapBuilder:
         """The map of all windows."""
         line, eta = self.line, self.weights.eta
         noise = discounted_flow(line.plant.A, self.weights.noise, line.lengths, eta)[1]
-        Y, windows, kept, at, after = self.prior, [], [], [], []
+        Y, windows, covariances, at, after = self.prior, [], [], [], []
         online = {0: Y}
         for b in range(line.times.size):
             if b:
                 Y = propagate(np.exp(eta * line.lengths[b - 1]) * Y, line.F[b - 1], noise[b - 1])
             k = self.place.get(b)
             if k is not None and k in self.sample_of:
-                kept.append(Y)
+                covariances.append(Y)
                 at.append(b)
                 after.append(False)
                 window, Y = self._window(k, online)
                 windows.append(window)
             if k is not None:
                 online[k] = Y
-            kept.append(Y)
+            covariances.append(Y)
             at.append(b)
             after.append(True)
-        half = np.asarray(np.linalg.solve(np.linalg.cholesky(np.array(kept)), np.eye(Y.shape[0])))
+        half = np.asarray(np.linalg.solve(np.linalg.cholesky(np.array(covariances)), np.eye(Y.shape[0])))
         rows = ErrorRows(np.array(at), np.array(after), line.times[at])
         return ErrorMap(
             timeline=line, F=self.F, decay=self.decay, windows=tuple(windows), rows=rows, half=half, H=self.H,

@@ -137,11 +137,11 @@ def read_trials(value: object, place: str) -> MonteCarloTrials:
 
 
 def _array(value: object, place: str) -> Array:
-    held = table({"shape": list_of(count), "bytes": text})(value, place)
+    packed = table({"shape": list_of(count), "bytes": text})(value, place)
     try:
-        found = np.frombuffer(b64decode(held["bytes"], validate=True), dtype="<f8").reshape(held["shape"])
+        numbers = np.frombuffer(b64decode(packed["bytes"], validate=True), dtype="<f8").reshape(packed["shape"])
     except ValueError:
-        raise refuse(place, f"must hold the numbers of an array of shape {tuple(held['shape'])}") from None
-    if (found < 0).any():
+        raise refuse(place, f"must hold the numbers of an array of shape {tuple(packed['shape'])}") from None
+    if (numbers < 0).any():
         raise refuse(place, "must hold no negative number")
-    return found
+    return numbers

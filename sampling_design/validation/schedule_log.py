@@ -338,10 +338,10 @@ def _paired_times(planned: Array, actual: Array) -> Index:
         near = np.where(np.abs(actual[before_it] - t) <= np.abs(actual[after_it] - t), before_it, after_it)
         away = actual[near] - t
         fits = np.flatnonzero((-_half_before(planned, index) <= away) & (away < _half_before(planned, index + 1)))
-        found = near[fits]
-        new = np.diff(found, prepend=last) > 0
-        match[index[fits[new]]] = found[new]
-        last = int(found[-1]) if found.size else last
+        nearest = near[fits]
+        new = np.diff(nearest, prepend=last) > 0
+        match[index[fits[new]]] = nearest[new]
+        last = int(nearest[-1]) if nearest.size else last
     return match
 
 

@@ -163,10 +163,10 @@ class ValidationStudy:
 
     def _plain(self, scenario: str, trials: MonteCarloTrials, strength: Strength) -> None:
         b, times = self.bounds, self.map.rows.times
-        found = self._certified.error_bound(
+        bound = self._certified.error_bound(
             times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="improved", length=self.horizon
         )
-        worst = float(np.max(ratio(trials.plain.max(axis=0), found)))
+        worst = float(np.max(ratio(trials.plain.max(axis=0), bound)))
         self._find("Euclidean error bound", scenario, 1.0, worst, source=self.apriori.theorem, strength=strength)  # type: ignore[union-attr]
 
     def _ellipsoids(self, scenario: str, ratios: Array, at_samples: Array, strength: Strength = "sampled") -> None:

@@ -78,7 +78,7 @@ def real_run(line: Timeline, rows: ErrorRows, truth: SimulatedRun, estimator: Es
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:
         estimator.update(0.0, None, truth.u[0])
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     j = 0
     for b, after in zip(rows.at, rows.after, strict=True):
         t = float(line.times[b])
@@ -87,8 +87,8 @@ def real_run(line: Timeline, rows: ErrorRows, truth: SimulatedRun, estimator: Es
             j += 1
         else:
             came = estimator.predict(t)
-        found.append(estimate_from(came, t, truth.states.shape[1]))
-    return EstimatedRun(tuple(found), truth)
+        estimates.append(estimate_from(came, t, truth.states.shape[1]))
+    return EstimatedRun(tuple(estimates), truth)
 
 
 def extent(truth: SimulatedRun, room: float = 0.0) -> tuple[Array, Array]:

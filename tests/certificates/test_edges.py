@@ -98,8 +98,8 @@ def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
     def low(peaks):
         return tuple(proof.RiccatiPeak(peak.value / 2, *list(vars(peak).values())[1:]) for peak in peaks)
 
-    found = proof.ScheduleProof.found
-    monkeypatch.setattr(proof.ScheduleProof, "found", lambda self, finer: low(found(self, finer)))
+    found = proof.ScheduleProof.peaks_on
+    monkeypatch.setattr(proof.ScheduleProof, "peaks_on", lambda self, finer: low(found(self, finer)))
     monkeypatch.setattr(efforts, "CHECK_WORK", 0.0)
     with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))

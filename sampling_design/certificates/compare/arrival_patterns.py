@@ -96,8 +96,8 @@ class _Interval(NamedTuple):
         n, p = len(self.F), len(self.noise)
         Z = propagate(Y, *self.joint)
         single = np.einsum("g,gij,kjl,gml->kim", self.weights, self.nodes, Y, self.nodes) + self.noise
-        rest = symmetrise(self.share * (single - Z[:, n:, n:] + np.eye(p)))
-        whitener = np.linalg.solve(np.linalg.cholesky(rest), np.broadcast_to(np.eye(p), rest.shape))
+        innovations = symmetrise(self.share * (single - Z[:, n:, n:] + np.eye(p)))
+        whitener = np.linalg.solve(np.linalg.cholesky(innovations), np.broadcast_to(np.eye(p), innovations.shape))
         rows = np.concatenate([np.zeros((len(Y), p, n)), whitener], axis=2)
         return _updated(Z, rows)[:, :n, :n]
 
@@ -164,10 +164,10 @@ def _filtered(A: Array, noise: Array, rows: Array, h: float) -> CovarianceMap | 
     halvings = max(0, int(np.ceil(np.log2(max(steps, 1.0)))))
     (E,) = expm_batch(np.ldexp(hamiltonian, -halvings), 1.0)
     F = np.linalg.solve(E[n:, n:].T, np.eye(n))
-    found = CovarianceMap(F, symmetrise(F.T @ E[n:, :n]), symmetrise(E[:n, n:] @ F.T))
+    flow = CovarianceMap(F, symmetrise(F.T @ E[n:, :n]), symmetrise(E[:n, n:] @ F.T))
     for _ in range(halvings):
-        found = found.then(found)
-    return CovarianceMap(found.F, found.G / unit, found.Q * unit)
+        flow = flow.then(flow)
+    return CovarianceMap(flow.F, flow.G / unit, flow.Q * unit)
 
 
 def _mean_inverse(x: float) -> float:

@@ -77,14 +77,14 @@ class FourHorizons(ListRecord[HorizonRow]):
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit
-        found = []
+        lines = []
         for row in self.rows:
             bound = row.note if row.minimum is None else f"M > {short(row.minimum, 4)} {unit}"
             gains = row.horizon
             if gains is not None:
                 bound += f", C_x {short(gains.C_x, 3)}, C_w {short(gains.C_w, 3)}, C_v {short(gains.C_v, 3)}"
-            found.append((row.name, bound))
-        return found
+            lines.append((row.name, bound))
+        return lines
 
     def explain(self) -> str:
         """Compare the four."""

@@ -215,13 +215,13 @@ def random_arrivals(
             schedule = period_of(c.schedule, FINITE)
             whole = _periods(asked, schedule.period, len(schedule), horizon is None)
             M, samples, ends = whole * schedule.period, float(whole * len(schedule)), np.array(schedule.times)
-            found = [contraction_bounds(problem, planned_steps(problem, k, whole, p), M) for k in range(len(ends))]
+            bounds = [contraction_bounds(problem, planned_steps(problem, k, whole, p), M) for k in range(len(ends))]
         else:
             rate = checks.nonnegative("arrival_rate", arrival_rate)
             M, samples, ends = asked, rate * asked, np.array([asked])
             rows = np.linalg.solve(problem.root, whitened_rows(c.plant.C, c.R, c.Qv, None, 1)[0].T).T
-            found = [contraction_bounds(problem, poisson_steps(problem, rows, rate * (1 - p), asked), M)]
-    probability, factor = (np.array([each[k] for each in found]) for k in range(2))
+            bounds = [contraction_bounds(problem, poisson_steps(problem, rows, rate * (1 - p), asked), M)]
+    probability, factor = (np.array([each[k] for each in bounds]) for k in range(2))
     return RandomArrivals(
         loss_probability=p, arrival_rate=arrival_rate, length=M, samples=samples, ends=ends, probability=probability,
         factor=factor, time_unit=c.plant.time_unit,

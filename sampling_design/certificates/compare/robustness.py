@@ -234,7 +234,7 @@ class RobustnessSearch:
     ) -> tuple[list[FamilyTrial[LostSamples]], list[FamilyCertificate]]:
         """For d = 1, 2, ... the least w for which d of any w may be lost, until there is none."""
         tried: list[FamilyTrial[LostSamples]] = []
-        kept: list[FamilyCertificate] = []
+        certificates: list[FamilyCertificate] = []
         for d in range(1, longest):
             self.report(0.5 + 0.5 * d / longest, f"{d} lost")
             best = None
@@ -250,8 +250,8 @@ class RobustnessSearch:
                 w = (low + high) // 2
             if best is None:
                 break
-            kept.append(self.proven(*best))
-        return sorted(tried, key=lambda trial: (trial.family.most, trial.family.of)), kept
+            certificates.append(self.proven(*best))
+        return sorted(tried, key=lambda trial: (trial.family.most, trial.family.of)), certificates
 
     def _loss_level(self, family: LostSamples) -> int:
         """As much memory as the unknowns allow."""

@@ -129,9 +129,10 @@ def tradeoff_curve(
         )
     schedule = certifiable_schedule(plant, schedule)
     weights, rate = weights_of(plant, Qw, R, Qv), checks.positive("eta", eta)
-    found = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
-    horizons = [made.horizon() for made in found]
+    certificates = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
+    horizons = [made.horizon() for made in certificates]
     return TradeoffCurve(
         steps, checks.freeze([h.minimum for h in horizons]), checks.freeze([h.C_w for h in horizons]),
-        checks.freeze([h.C_v for h in horizons]), checks.freeze([made.lam for made in found]), tuple(found),
+        checks.freeze([h.C_v for h in horizons]), checks.freeze([made.lam for made in certificates]),
+        tuple(certificates),
     )  # fmt: skip

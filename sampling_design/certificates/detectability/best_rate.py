@@ -149,10 +149,10 @@ def certify_detectability(
             raise SolverError(_NO_SOLUTION.format(rate=short(eta * (1 + margin))))
         _within(least, eta, gain_y, ratio)
     P, gain = _largest_P(plant, eta * (1 + margin), ratio, floor, gain_y)
-    found = DetectabilityCertificate(
+    certificate = DetectabilityCertificate(
         plant, P, eta, gain_y / ratio, gain_y, margin=STATED * margin, method="riccati", gain=gain
     )
-    return proven(found if method == "riccati" else _least_overshoot(found, margin))
+    return proven(certificate if method == "riccati" else _least_overshoot(certificate, margin))
 
 
 def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) -> None:
@@ -238,19 +238,19 @@ _SHIFTS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 """How far the solver's P is moved towards the Riccati one, which satisfies the inequality strictly, until it passes."""
 
 
-def _least_overshoot(found: DetectabilityCertificate, margin: float) -> DetectabilityCertificate:
+def _least_overshoot(certificate: DetectabilityCertificate, margin: float) -> DetectabilityCertificate:
     """P of least condition number for the same eta, c_w, c_y, from the matrix inequality.
 
     Posed in coordinates where the Riccati P is the identity and time is 1/eta, each direction of the inequality scaled
     by the size of its terms, so that all data are of order one.
     """
-    plant, n = found.plant, found.plant.n_states
-    L = np.linalg.cholesky(found.P)
-    eta = found.eta * (1 + margin / 2)
+    plant, n = certificate.plant, certificate.plant.n_states
+    L = np.linalg.cholesky(certificate.P)
+    eta = certificate.eta * (1 + margin / 2)
     A = np.linalg.solve(L, (plant.A / eta).T @ L).T
-    K = np.linalg.solve(L, plant.C.T) * np.sqrt(found.c_y / eta)
-    G = L.T @ plant.G / np.sqrt(eta * found.c_w)
-    unit = np.linalg.solve(L, np.eye(n)) * np.sqrt(np.linalg.eigvalsh(found.P)[0])
+    K = np.linalg.solve(L, plant.C.T) * np.sqrt(certificate.c_y / eta)
+    G = L.T @ plant.G / np.sqrt(eta * certificate.c_w)
+    unit = np.linalg.solve(L, np.eye(n)) * np.sqrt(np.linalg.eigvalsh(certificate.P)[0])
     floor = unit @ unit.T  # the identity of the plant's coordinates, as large as the Riccati P allows
     _, modes = np.linalg.eigh(A.T + A + np.eye(n) - K @ K.T)
     scale = modes / np.sqrt(1 + np.linalg.norm(modes.T @ K, axis=1) ** 2 + 2 * np.linalg.norm(A @ modes, axis=0))
@@ -272,9 +272,9 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     record = conic_programs.require(solved.record, "the least overshoot")
     P_lmi = L @ conic_programs.smat(solved.x[:-1]) @ L.T
     for shift in _SHIFTS:
-        shifted = symmetrise((1 - shift) * P_lmi + shift * found.P)
+        shifted = symmetrise((1 - shift) * P_lmi + shift * certificate.P)
         if np.linalg.eigvalsh(shifted)[0] > 0:
-            moved = replace(found, P=shifted, method="lmi", solver=record)
+            moved = replace(certificate, P=shifted, method="lmi", solver=record)
             if moved.verify().passed:
                 return moved
     raise SolverError("The solver's P fails the dissipation inequality and no small shift repairs it.", record.status)

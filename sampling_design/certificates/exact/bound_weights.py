@@ -87,10 +87,10 @@ def weights_within(plant: Plant, eta: float, bounds: ErrorBoundArguments) -> tup
     """
     w = _or_scales("w_bound", bounds.get("w_bound"), plant.disturbances)
     v = _or_scales("v_bound", bounds.get("v_bound"), plant.outputs)
-    found = weights_from_bounds(
+    weights = weights_from_bounds(
         plant, eta, w, v, _or_scales("initial_error", bounds.get("initial_error"), plant.states)
     )
-    return found["P2"], found["Qw"], found["R"], found["Qv"]
+    return weights["P2"], weights["Qw"], weights["R"], weights["Qv"]
 
 
 def _or_scales(name: str, bound: npt.ArrayLike | None, signals: Signals) -> npt.ArrayLike:

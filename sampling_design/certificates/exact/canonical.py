@@ -90,9 +90,9 @@ def canonical(
             )
     details = zip((plant.states, plant.outputs, plant.disturbances), scales, strict=True)
     states, outputs, disturbances = (Signals(s.names, (), np.clip(v, 1 / RANGE, RANGE)) for s, v in details)
-    found = Plant(A, C, G=G, states=states, outputs=outputs, disturbances=disturbances)
+    scaled = Plant(A, C, G=G, states=states, outputs=outputs, disturbances=disturbances)
     sizes = np.exp2(logs) / x
-    return ScaledProblem(found, _timed(schedule, time), inner, x, w, y, time, sizes)
+    return ScaledProblem(scaled, _timed(schedule, time), inner, x, w, y, time, sizes)
 
 
 def evened(canon: ScaledProblem) -> ScaledProblem:
@@ -107,7 +107,7 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
     details = ((plant.states, x), (plant.outputs, y), (plant.disturbances, w))
     states, outputs, disturbances = (Signals(s.names, (), cut(s.scales / own)) for s, own in details)
     A, C, G = time * plant.A * x / x[:, None], plant.C * x / y[:, None], time * plant.G * w / x[:, None]
-    found = Plant(cut(A), cut(C), G=cut(G), states=states, outputs=outputs, disturbances=disturbances)
+    scaled = Plant(cut(A), cut(C), G=cut(G), states=states, outputs=outputs, disturbances=disturbances)
     schedule: AnySchedule
     if old.endless:
         even = cut(old.gaps / time)
@@ -117,7 +117,7 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
     weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
     kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
     return ScaledProblem(
-        found, schedule, NoiseWeights(*kept), canon.x * x, canon.w * w, canon.y * y, canon.time * time, np.ones_like(x)
+        scaled, schedule, NoiseWeights(*kept), canon.x * x, canon.w * w, canon.y * y, canon.time * time, np.ones_like(x)
     )
 
 

@@ -322,7 +322,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         array of the shape of `t`
             In the Euclidean norm of the state.
         """
-        found = self.horizon(theorem, length)
+        horizon = self.horizon(theorem, length)
         times = checks.real_array("t", t, checks.dimensions(t))
         if np.any(times < 0):
             raise ArgumentError(f"`t` must not be negative, got {float(times.min())!r}: the bound begins at 0.")
@@ -336,12 +336,12 @@ class SampledCertificate(VerifiableRecord, ABC):
         w, v = checks.nonnegative("w_bound", w_bound), checks.nonnegative("v_bound", v_bound)
         unit = max(float(np.max(np.abs(initial), initial=0.0)), w, v) or 1.0  # squares of ratios stay numbers
         start, w2, v2 = float(np.sum(np.square(initial / unit))), (w / unit) ** 2, (v / unit) ** 2
-        rate = found.eta_tilde
+        rate = horizon.eta_tilde
         decay = np.exp(-rate * times)
         hits = np.vectorize(lambda end: float(np.sum(np.exp(-rate * (end - self._samples_until(end))))), otypes=[float])
-        squared = found.C_x * start * decay + found.C_w * w2 * (1 - decay) / rate
+        squared = horizon.C_x * start * decay + horizon.C_w * w2 * (1 - decay) / rate
         with np.errstate(over="ignore"):
-            return np.asarray(unit * np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
+            return np.asarray(unit * np.sqrt(squared + horizon.C_v * v2 * (hits(times) if v2 else 0.0)))
 
 
 def latest_samples(end: float, gap: float) -> Array:

@@ -43,8 +43,8 @@ SEARCHED = 0.5  # share of the seconds of a call that the search of weights may 
 def wider(rooms: Iterator[float], work: WorkLimit, tried: float) -> float:
     """The next room for a proof that did not close with this work, 0 if there is none; a wide one if that is over."""
     enough = WIDE if work.over else 1.0
-    found = next((room for room in rooms if room >= enough and room > tried), 0.0)
-    return found or (WIDE if work.over and tried < WIDE else 0.0)
+    least = WIDE if work.over and tried < WIDE else 0.0
+    return next((room for room in rooms if room >= enough and room > tried), least)
 
 
 class SearchEffort:

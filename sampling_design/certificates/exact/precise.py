@@ -116,11 +116,11 @@ class PreciseWindows:
     def long_run(self, prior: Array) -> Array:
         """Y in the middle and at the end of gaps in the long run; finite: along the windows from P2^-1 = `prior`."""
         with precision(BITS):
-            found = [floats(Y) for Y in self._later(2)]
+            covariances = [floats(Y) for Y in self._later(2)]
             if self.steady is None or self.times.first > self.times.gaps[0]:
                 X = matrix(prior if self.steady is None else 0 * prior)
-                found += [floats(Y) for i, r, _ in self.starts(1) for Y in self._window(X, i, r, 2)]
-        return np.array(found)
+                covariances += [floats(Y) for i, r, _ in self.starts(1) for Y in self._window(X, i, r, 2)]
+        return np.array(covariances)
 
     def least_floor(self, size: Array) -> float:
         """The largest eigenvalue of size Y size in the long run; finite: of the windows without prior error."""
@@ -155,8 +155,8 @@ class PreciseSearch(WeightSearch):
 
     def guesses(self, eta: float) -> list[Array]:
         """One between the inverse of the long-run covariance and the least P1, or a rounder one: each costs much."""
-        found = super().guesses(eta)
-        return [found[0], found[-3]] if len(found) > len(ROUNDNESS) + 1 else found[-3:-2]
+        shapes = super().guesses(eta)
+        return [shapes[0], shapes[-3]] if len(shapes) > len(ROUNDNESS) + 1 else shapes[-3:-2]
 
     def windows(self, eta: float) -> PreciseWindows:
         """The windows of one rate."""

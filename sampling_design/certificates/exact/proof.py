@@ -58,18 +58,18 @@ class ScheduleProof:
 
         Raises UndecidedError if the windows are lost in rounding.
         """
-        return self.found(1)
+        return self.peaks_on(1)
 
-    def found(self, finer: int) -> tuple[RiccatiPeak, RiccatiPeak]:
+    def peaks_on(self, finer: int) -> tuple[RiccatiPeak, RiccatiPeak]:
         """The peaks of grids that are so much finer; raises as `peaks`."""
         with np.errstate(all="ignore"):
             try:
-                found = supremum(self.problem, finer, self.efforts.looks.share(LOOK_WORK))
+                peaks = supremum(self.problem, finer, self.efforts.looks.share(LOOK_WORK))
             except (SolverError, np.linalg.LinAlgError) as error:
                 raise UndecidedError(f"undecided: {error}") from None
-        if not all(np.isfinite(peak.value) for peak in found):
+        if not all(np.isfinite(peak.value) for peak in peaks):
             raise UndecidedError("undecided: the information kept by some window is below what doubles can hold.")
-        return found
+        return peaks
 
     @property
     def horizon(self) -> float:
@@ -109,7 +109,7 @@ class ScheduleProof:
             if verdict.time is None or verdict.start is None:
                 if finer == 1 and not work.over:  # the grids may have missed a peak by a hair
                     finer, before = FINER, (anywhere.value, at_samples.value)
-                    others = self.found(finer)
+                    others = self.peaks_on(finer)
                     at_samples = max(at_samples, others[1], key=attrgetter("value"))
                     anywhere = max(anywhere, others[0], at_samples, key=attrgetter("value"))
                     if anywhere.value > before[0] * HIGHER or at_samples.value > before[1] * HIGHER:

@@ -46,25 +46,25 @@ def own_decay(
     canon: ScaledProblem, bounds: tuple[float, float], budgets: list[float], work: WorkLimit
 ) -> list[ChosenWeights | None]:
     """The weights at the fastest rate within `bounds` that keep each budget; None where the decay alone does not."""
-    found: list[ChosenWeights | None] = [None] * len(budgets)
+    choices: list[ChosenWeights | None] = [None] * len(budgets)
     own = -2 * float(np.max(np.linalg.eigvals(canon.plant.A).real))
     fastest = min(bounds[1], NEAREST * own)
     if fastest < bounds[0]:
-        return found
+        return choices
     search = WeightSearch(canon, work=work)
     rates = np.geomspace(fastest, bounds[0], RATES) if fastest > bounds[0] else [fastest]
     for rate in map(float, rates):
-        if search.work.over or all(found):
+        if search.work.over or all(choices):
             break
         try:
             rooms = [(shape, search.setting(rate).least(shape)) for shape in lyapunov_shapes(canon, rate, own)]
         except (SolverError, np.linalg.LinAlgError, ValueError):
             continue
         for k, budget in enumerate(budgets):
-            kept = (shape for shape, room in rooms if room >= -np.log(budget))
-            if found[k] is None and (shape := next(kept, None)) is not None:
-                found[k] = ChosenWeights(shape, rate, 0.0, status="the plant decays on its own")
-    return found
+            allowed = (shape for shape, room in rooms if room >= -np.log(budget))
+            if choices[k] is None and (shape := next(allowed, None)) is not None:
+                choices[k] = ChosenWeights(shape, rate, 0.0, status="the plant decays on its own")
+    return choices
 
 
 def lyapunov_shapes(canon: ScaledProblem, rate: float, own: float) -> Iterator[Array]:

@@ -81,12 +81,12 @@ def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = N
     """
     flows = problem.flow(problem.gaps)
     with suppress(np.linalg.LinAlgError):
-        if (found := _doubled(problem, flows)) is not None:
-            return found
+        if (solution := _doubled(problem, flows)) is not None:
+            return solution
     for share in (0.0, FLOOR) if iterate else ():
-        found = _iterated(problem, flows, share, WorkLimit(np.inf) if work is None else work)
-        if found is not None:
-            return found
+        solution = _iterated(problem, flows, share, WorkLimit(np.inf) if work is None else work)
+        if solution is not None:
+            return solution
     raise SolverError(
         "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
@@ -291,8 +291,8 @@ def supremum(problem: WindowProblem, finer: int = 1, work: WorkLimit | None = No
     parts = np.arange(1, 4 * finer + 1) / (4 * finer)
     more = np.repeat(np.arange(problem.count), inner.size)
     starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
-    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, work=work)
-    own, others = found[: index.size], found[index.size :]
+    peaks = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, work=work)
+    own, others = peaks[: index.size], peaks[index.size :]
     if steady is not None:
         own.append(long_run(problem, steady, max(own, key=attrgetter("value")), work))
     at_sample = refine(problem, max(own, key=attrgetter("value")), 0.0, 1 / parts.size, work)
@@ -311,13 +311,13 @@ def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Wor
         return best
     index, remaining = problem.sample_starts()
     periods = 1
-    found = best
-    while found.value < (1 - ATTAINED_RTOL) * values.max() and periods * problem.count <= LONGEST_RUN:
+    peak = best
+    while peak.value < (1 - ATTAINED_RTOL) * values.max() and periods * problem.count <= LONGEST_RUN:
         periods *= 4
-        found = sweep(problem, index[:1], remaining[:1], last_step=periods * problem.count, work=work)[0]
+        peak = sweep(problem, index[:1], remaining[:1], last_step=periods * problem.count, work=work)[0]
         if work is not None and work.over:
             break
-    return max(found, best, key=attrgetter("value"))
+    return max(peak, best, key=attrgetter("value"))
 
 
 def refine(
@@ -331,8 +331,8 @@ def refine(
         highest = min(peak.remaining + width, float(problem.reach[peak.index]))
         starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])
         parts = np.linspace(max(peak.fraction - time_width, 0.0), min(peak.fraction + time_width, 1.0), 5)
-        found = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0), work=work)
-        peak = max([peak, *found], key=attrgetter("value"))
+        peaks = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0), work=work)
+        peak = max([peak, *peaks], key=attrgetter("value"))
         width, time_width = width / 3, time_width / 2
     return peak
 

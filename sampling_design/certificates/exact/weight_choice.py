@@ -160,23 +160,23 @@ class WeightSearch:
     def best_guess(self, eta: float, budget: float) -> ChosenWeights | None:
         """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""
         try:
-            found = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
+            choices = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
         except (SolverError, np.linalg.LinAlgError):
             return None
-        return min((choice for choice in found if choice is not None), key=attrgetter("value"), default=None)
+        return min((choice for choice in choices if choice is not None), key=attrgetter("value"), default=None)
 
     def judged(
         self, shape: Array, eta: float, budget: float, like: ChosenWeights | None = None, width: float = EXACT
     ) -> ChosenWeights | None:
         """A shape at the budget, or None where the budget does not allow it at any scale or it is lost in rounding."""
         try:
-            found = self.setting(eta).scaled(shape, budget, width)
+            scaled = self.setting(eta).scaled(shape, budget, width)
         except (np.linalg.LinAlgError, SolverError, ValueError):
             return None
-        if found is None or not np.isfinite(found[1]):
+        if scaled is None or not np.isfinite(scaled[1]):
             return None
         steps, status = (0, "first guess") if like is None else (like.iterations, like.status)
-        return ChosenWeights(found[0], eta, found[1] / eta, steps, status)
+        return ChosenWeights(scaled[0], eta, scaled[1] / eta, steps, status)
 
     def descend(self, start: ChosenWeights, budget: float, bounds: tuple[float, float]) -> ChosenWeights:
         """Descend anew from where a descent ended until that brings nothing: at a kink of lambda one may stop early."""
@@ -200,13 +200,13 @@ class WeightSearch:
         try:
             z = state.start()
             free = [(None, None)] * (z.size - 1)
-            found = solve(
+            optimum = solve(
                 state.objective, z, jac=True, method="SLSQP",
                 bounds=[(0.0, None), *free[1:], (np.log(bounds[0]), np.log(bounds[1]))],
                 constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
                 options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
             )  # fmt: skip
-            steps, status = int(found.nit), str(found.message)
+            steps, status = int(optimum.nit), str(optimum.message)
         except BudgetSpentError:
             steps, status = 0, "the search has used its work, and ended with the best that it had"
         except (np.linalg.LinAlgError, SolverError, ValueError) as error:
@@ -297,13 +297,13 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     mean = float(np.mean(schedule.gaps)) if schedule.gaps.size else float(schedule.times[0])
     low, high = (factor / max(mean, 1e-300) for factor in ETA_RANGE)
     for _ in range(plant.n_states + 1):
-        found = certificate_exists(plant, schedule, high)
-        if found.exists:
+        existence = certificate_exists(plant, schedule, high)
+        if existence.exists:
             return min(low, high / 8), high
-        assert found.eigenvalue is not None
-        if found.eigenvalue.real >= 0:
+        assert existence.eigenvalue is not None
+        if existence.eigenvalue.real >= 0:
             break
-        high = -2 * BELOW_UNOBSERVABLE * found.eigenvalue.real
+        high = -2 * BELOW_UNOBSERVABLE * existence.eigenvalue.real
     require_certificate(plant, schedule, high)
     return min(low, high / 8), high
 
@@ -356,14 +356,14 @@ def choose_weights(
         bounds = bounds[0], search.calmest(bounds, [guess.eta for guess in guesses])
         guesses = [guess for guess in guesses if guess.eta <= bounds[1]]
     guesses.sort(key=attrgetter("value"))
-    found: list[ChosenWeights] = []
+    descended: list[ChosenWeights] = []
     for k, guess in enumerate(guesses[: search.starts]):
-        if found and search.work.over:
+        if descended and search.work.over:
             break
         with search.ended_by_interrupt(guesses):
             report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
-            found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
-    best = min(found or guesses, key=attrgetter("value"))
+            descended.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
+    best = min(descended or guesses, key=attrgetter("value"))
     if free and not search.work.over:
         with search.ended_by_interrupt(guesses):
             report(0.7, "descent on shape and rate")
@@ -403,8 +403,8 @@ def _descend_at_others(
 
 def _guesses_at_other_rates(search: WeightSearch, guesses: list[ChosenWeights], budget: float) -> list[ChosenWeights]:
     """The guesses at other rates, scaled to the budget: those of moderate lambda first, then by their horizons."""
-    found = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
-    spare = [replace(choice, spare=True) for choice in found if choice is not None]
+    choices = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
+    spare = [replace(choice, spare=True) for choice in choices if choice is not None]
     return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
 
 
@@ -415,20 +415,20 @@ def round_choices(
     work = whole.share(ROUND_WORK)
     for share in ROUNDER:
         search = WeightSearch(canon, share, work)
-        found: list[ChosenWeights] = []
+        choices: list[ChosenWeights] = []
         for rate in rates:
             guess = None if search.work.over else search.best_guess(rate, budget)
-            found += [] if guess is None else [replace(guess, spare=True)]
-        yield found
+            choices += [] if guess is None else [replace(guess, spare=True)]
+        yield choices
 
 
 def _ordered(search: WeightSearch, shapes: list[tuple[float, ChosenWeights]], budget: float) -> list[ChosenWeights]:
     """The shapes of references up to the budget, each scaled to it, the best first, and none twice."""
-    found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
-    kept: list[ChosenWeights] = []
-    for choice in sorted((choice for choice in found if choice is not None), key=attrgetter("value")):
-        kept += [] if any(_same_choice(choice, other) for other in kept) else [choice]
-    return kept
+    scaled = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
+    distinct: list[ChosenWeights] = []
+    for choice in sorted((choice for choice in scaled if choice is not None), key=attrgetter("value")):
+        distinct += [] if any(_same_choice(choice, other) for other in distinct) else [choice]
+    return distinct
 
 
 def _same_choice(one: ChosenWeights, other: ChosenWeights) -> bool:

@@ -134,10 +134,10 @@ def _residual(M: Array, rows: Array, mu: complex, z: Complex) -> float:
     return float(max(moved, outputs.max(initial=0.0)))
 
 
-def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> Counterexample | None:
+def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, existence: Existence) -> Counterexample | None:
     """Return the counterexample that a failed existence test stands for, if its equations hold to `RESIDUAL`."""
     modes = period_modes(plant, float(eta))
-    if not modes.blocks or too_dense(plant, schedule, eta, found) or stays_bounded(plant, schedule, eta):
+    if not modes.blocks or too_dense(plant, schedule, eta, existence) or stays_bounded(plant, schedule, eta):
         return None
     least = modes.least_observed(schedule)
     direction = modes.direction(least, schedule, float(schedule.gaps[0]))
@@ -147,10 +147,10 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
     residual = _residual(M, rows, mu, (direction / units).astype(complex))
     if not residual <= RESIDUAL:
         return None
-    main = found.eigenvalue if found.eigenvalue is not None else least.rate
+    main = existence.eigenvalue if existence.eigenvalue is not None else least.rate
     return Counterexample(
-        plant=plant, schedule=schedule, eta=eta, eigenvalue=main, partners=found.partners, multiplier=mu,
-        direction=tuple(complex(x) for x in direction), residual=residual, reason=found.reason,
+        plant=plant, schedule=schedule, eta=eta, eigenvalue=main, partners=existence.partners, multiplier=mu,
+        direction=tuple(complex(x) for x in direction), residual=residual, reason=existence.reason,
     )  # fmt: skip
 
 
@@ -201,8 +201,8 @@ def find_counterexample(
     tried: list[tuple[float, PeriodicSchedule]] = []
 
     def refused(schedule: PeriodicSchedule) -> tuple[Counterexample | None, float]:
-        found = judged(plant, schedule, eta)
-        return None if found.exists else counterexample(plant, schedule, eta, found), found.margin
+        existence = judged(plant, schedule, eta)
+        return None if existence.exists else counterexample(plant, schedule, eta, existence), existence.margin
 
     suspects = family.suspects(sorted({*periods, *(h for h in near if h)}), rng, quick)
     for schedule in chain([least[1]], suspects):
@@ -238,16 +238,16 @@ def refute(
     CertificateError
         With details `counterexample`, `gaps`, `eigenvalue`, `direction` if one is found.
     """
-    found, least = find_counterexample(plant, family, eta, hints, quick=quick)
-    if found is None:
+    failure, least = find_counterexample(plant, family, eta, hints, quick=quick)
+    if failure is None:
         return least
     raise CertificateError(
-        f"no certificate with rate {eta:.6g} exists for this family. {found.explain()}",
-        counterexample=found,
-        gaps=tuple(float(gap) for gap in found.schedule.gaps),
-        eigenvalue=found.eigenvalue,
-        direction=found.direction,
-        period=found.schedule.period,
+        f"no certificate with rate {eta:.6g} exists for this family. {failure.explain()}",
+        counterexample=failure,
+        gaps=tuple(float(gap) for gap in failure.schedule.gaps),
+        eigenvalue=failure.eigenvalue,
+        direction=failure.direction,
+        period=failure.schedule.period,
         eta=eta,
     )
 
@@ -266,7 +266,7 @@ def _aliasing_periods(plant: Plant, eta: float, family: SamplingFamily) -> tuple
     speeds = np.sort(np.abs(apart.imag[tied]))
     speeds = speeds[np.diff(speeds, prepend=0.0) > TIED_RTOL * speeds]
     shortest, longest = family.min_gap, LONGEST_WORD * family.d_max
-    found, left = [], 0.0
+    chosen, left = [], 0.0
     most = max(MOST_PERIODS // max(speeds.size, 1), 4)
     for cycle in 2 * np.pi / speeds[speeds > 0]:
         low, high = max(np.ceil(shortest / cycle - 1e-9), 1.0), np.floor(longest / cycle + 1e-9)
@@ -275,8 +275,8 @@ def _aliasing_periods(plant: Plant, eta: float, family: SamplingFamily) -> tuple
         else:
             multiples = np.unique(np.rint(np.geomspace(low, high, most)))
             left += float(high - low + 1 - multiples.size)
-        found += [float(cycle * k) for k in multiples]
-    return found, left
+        chosen += [float(cycle * k) for k in multiples]
+    return chosen, left
 
 
 def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSchedule) -> PeriodicSchedule:
@@ -293,9 +293,9 @@ def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSc
         return judged(plant, schedule, eta).margin if family.contains(schedule) else 1.0
 
     simplex = np.vstack([np.zeros(origin.size), np.eye(origin.size) / 2])
-    found = minimize(
+    optimum = minimize(
         margin, simplex[0], method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": 60 * origin.size, "xatol": 1e-12, "fatol": 1e-12},
     )  # fmt: skip
-    best = build(origin + spread * found.x)
+    best = build(origin + spread * optimum.x)
     return best if family.contains(best) else start

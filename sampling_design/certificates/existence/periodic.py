@@ -143,29 +143,29 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     schedule = align(plant, schedule)
     if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
-    found = judged(plant, schedule, eta)
-    if found.exists:
-        return found
+    existence = judged(plant, schedule, eta)
+    if existence.exists:
+        return existence
     question = f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided"
-    if turn := too_dense(plant, schedule, eta, found):
+    if turn := too_dense(plant, schedule, eta, existence):
         raise UndecidedError(
-            f"{question}: its samples are so dense that {found.eigenvalue:.4g} and the eigenvalues beside it differ by "
-            f"only {turn:.3g} in a period of {schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). "
-            "Sample less often, or count a part of the samples as one.",
-            **_missed(found),
+            f"{question}: its samples are so dense that {existence.eigenvalue:.4g} and the eigenvalues beside it "
+            f"differ by only {turn:.3g} in a period of {schedule.period:.4g}, which rounding hides (margin "
+            f"{existence.margin:.3g}). Sample less often, or count a part of the samples as one.",
+            **_missed(existence),
         )
     if stays_bounded(plant, schedule, eta):
         raise UndecidedError(
-            f"{question}: {found.reason}, as far as rounding can tell (margin {found.margin:.3g}), yet the discounted "
-            "covariance of the filter stays bounded. Move a sample, or scale the plant.",
-            **_missed(found),
+            f"{question}: {existence.reason}, as far as rounding can tell (margin {existence.margin:.3g}), yet the "
+            "discounted covariance of the filter stays bounded. Move a sample, or scale the plant.",
+            **_missed(existence),
         )
-    return found
+    return existence
 
 
-def _missed(found: Existence) -> dict[str, object]:
+def _missed(existence: Existence) -> dict[str, object]:
     """What an error says of the mode that a schedule misses."""
-    return {key: getattr(found, key) for key in ("eigenvalue", "partners", "period", "margin")}
+    return {key: getattr(existence, key) for key in ("eigenvalue", "partners", "period", "margin")}
 
 
 def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
@@ -187,10 +187,10 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     return Existence(False, least.margin, main, partners, schedule.period, reason)
 
 
-def too_dense(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> float:
+def too_dense(plant: Plant, schedule: PeriodicSchedule, eta: float, existence: Existence) -> float:
     """How far the modes that a period does not tell apart turn within it, if a longer one tells them apart; else 0."""
-    main = found.eigenvalue or 0j
-    turns = [abs(main - other) * schedule.period for other in found.partners]
+    main = existence.eigenvalue or 0j
+    turns = [abs(main - other) * schedule.period for other in existence.partners]
     if not turns or not 0 < max(turns) <= NEARLY:
         return 0.0
     longer = PeriodicSchedule(schedule.gaps / max(turns), outputs=schedule.outputs)
@@ -202,9 +202,9 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
 
     Raises CertificateError if no certificate exists; its details carry eigenvalue, partners, period and repair.
     """
-    found = certificate_exists(plant, schedule, eta)
-    if found.exists:
-        return found
+    existence = certificate_exists(plant, schedule, eta)
+    if existence.exists:
+        return existence
     repair = smallest_repair(plant, period_of(schedule), eta)
     words = (
         f"The smallest change of one gap that repairs it: gaps[{repair['gap']}] = {repair['from']:.6g} to "
@@ -213,8 +213,8 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
         else "No change of a single gap repairs it."
     )
     raise CertificateError(
-        f"no certificate with rate {eta:.6g} exists on this schedule: {found.reason}. {words}",
-        **_missed(found),
+        f"no certificate with rate {eta:.6g} exists on this schedule: {existence.reason}. {words}",
+        **_missed(existence),
         repair=repair,
     )
 
@@ -271,9 +271,9 @@ def _involved(modes: PeriodModes, least: LeastObservedMode, period: float) -> tu
     ]
     # a turn more or less in e^{(a - b) P} does not count; what is left is how far a and b are from being aliased
     near = [(share, c.value) for share, c in shares if _phase_difference(c.value - least.rate, period) <= NEARLY]
-    found = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [least.rate]
-    main = next((v for v in found if v.imag > 0), found[0])
-    return main, tuple(v for v in found if v != main)
+    eigenvalues = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [least.rate]
+    main = next((v for v in eigenvalues if v.imag > 0), eigenvalues[0])
+    return main, tuple(v for v in eigenvalues if v != main)
 
 
 def _phase_difference(difference: complex, period: float) -> float:

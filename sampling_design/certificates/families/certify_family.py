@@ -360,17 +360,17 @@ def _refuse_too_long_gap(plant: Plant, longest: float, eta: float) -> None:
 
 
 def certified(
-    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: FamilyProposal
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, proposal: FamilyProposal
 ) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
-    assert found.P is not None
-    P: Array = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
+    assert proposal.P is not None
+    P: Array = np.stack([proposal.dynamics.outside(matrix) for matrix in proposal.P]).astype(np.float64)
     if given is not None:
         P[0] = given
-    lam = max(found.lam, 1.0)
+    lam = max(proposal.lam, 1.0)
     made = FamilyCertificate(
-        plant, family, P1=(1 - RESOLUTION) * P[0] / lam, P2=P[0], **weights._asdict(), eta=found.dynamics.eta, lam=lam,
-        lam_samples=lam, margin=STATED_MARGIN, solver=found.solver, graph=found.graph, P=P,
+        plant, family, P1=(1 - RESOLUTION) * P[0] / lam, P2=P[0], **weights._asdict(), eta=proposal.dynamics.eta,
+        lam=lam, lam_samples=lam, margin=STATED_MARGIN, solver=proposal.solver, graph=proposal.graph, P=P,
     )  # fmt: skip
     verdict = judged_while_sought(made.content, FAMILY_CLAIM, LONGEST_PROOF)
     if not verdict.passed:
@@ -406,10 +406,10 @@ def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], l
         smaller = search.family.narrowed(fraction)
         if smaller is None:
             break
-        found = FamilySearch(
+        proposal = FamilySearch(
             search.plant, smaller, search.weights, search.P2, search.noise_gain, search.budget
         ).propose(eta, 0)
-        low, high, part = (fraction, high, smaller) if found.P is not None else (low, fraction, part)
+        low, high, part = (fraction, high, smaller) if proposal.P is not None else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"
     known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""

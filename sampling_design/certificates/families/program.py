@@ -134,10 +134,10 @@ class FamilyProgram:
         """The largest last variable under these blocks, and the matrices; none below `least`, or where it fails."""
         cost = np.zeros(self._width(True))
         cost[-1] = -1.0
-        found = _solved(cost, blocks, self.budget)
-        if not conic_programs.usable(found.record) or found.x[-1] < least:
-            return ProgramSolution(0.0, None, found.record)
-        return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
+        solution = _solved(cost, blocks, self.budget)
+        if not conic_programs.usable(solution.record) or solution.x[-1] < least:
+            return ProgramSolution(0.0, None, solution.record)
+        return ProgramSolution(float(solution.x[-1]), self._matrices(solution.x), solution.record)
 
     def _edge_points(self) -> list[tuple[int, float]]:
         return [(k, h) for k, times in enumerate(self.edge_times) for h in times]
@@ -240,12 +240,12 @@ def _solved(cost: Array, blocks: list[ConeRows], budget: Budget) -> conic_progra
     """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
 
     left = budget.seconds_left(LEAST_TIME)
-    found = conic_programs.solve_cone_program(cost, blocks, budget=left)
-    if found.record.status == conic_programs.FAILED and not budget.over:
-        found = conic_programs.solve_cone_program(
+    solution = conic_programs.solve_cone_program(cost, blocks, budget=left)
+    if solution.record.status == conic_programs.FAILED and not budget.over:
+        solution = conic_programs.solve_cone_program(
             cost, blocks, tolerance=COARSE_TOLERANCE, budget=budget.seconds_left(LEAST_TIME)
         )
-    return found
+    return solution
 
 
 def _grid(dynamics: StepDynamics, low: float, high: float, few: bool) -> list[float]:

@@ -168,11 +168,11 @@ class Horizon(Record):
 
     def constants(self) -> list[Constant]:
         """Length, rate and gains with their formulas and sources, of the theorems "improved" and "paper"."""
-        source, found = "Theorem 9" if self.theorem == "paper" else "improved horizon theorem", []
+        source, constants = "Theorem 9" if self.theorem == "paper" else "improved horizon theorem", []
         for key, formula in _FORMULAS[self.theorem].items():
             name, said = f"{self.theorem}_{key}", "default" if key == "length" else source
-            found.append(Constant(name, getattr(self, key), formula, said, _SYMBOLS[key]))
-        return found
+            constants.append(Constant(name, getattr(self, key), formula, said, _SYMBOLS[key]))
+        return constants
 
     def explain(self) -> str:
         """Say what the horizon promises."""

@@ -99,9 +99,9 @@ def verdict_on_content(content: object, prove: Callable[..., Verdict], work: Wor
     return verification(verdict_on(content, prove, work))
 
 
-def verification(found: Verdict, bits: int = 0, seconds: float = 0.0) -> Verification:
+def verification(verdict: Verdict, bits: int = 0, seconds: float = 0.0) -> Verification:
     """A verdict as a record, of balls of so many bits or of the checker's floats."""
-    return Verification(passed=found.passed, **vars(found), bits=bits, seconds=seconds)
+    return Verification(passed=verdict.passed, **vars(verdict), bits=bits, seconds=seconds)
 
 
 def verdict_on_schedule(content: Sampled, work: WorkLimit) -> Verification:

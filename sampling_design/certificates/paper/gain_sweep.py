@@ -43,8 +43,8 @@ def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) ->
     best = starts[int(np.argmin(scores))]
     if not np.isfinite(min(scores)):
         raise SolverError("No observer gain of the sweep could be computed: the filter's Riccati equation failed.")
-    found = minimize(search, best, method="Nelder-Mead", options={"maxfev": REFINEMENTS, "xatol": 1e-3, "fatol": 1e-4})
-    gain, Q, _ = search.choice(found.x if found.fun < min(scores) else best)
+    least = minimize(search, best, method="Nelder-Mead", options={"maxfev": REFINEMENTS, "xatol": 1e-3, "fatol": 1e-4})
+    gain, Q, _ = search.choice(least.x if least.fun < min(scores) else best)
     return detectability_from_proof(plant, gain, Q)
 
 

@@ -272,14 +272,14 @@ def _inverse(triangle: Array) -> Array:
     return np.asarray(np.linalg.solve(triangle, np.eye(len(triangle))), dtype=np.float64)
 
 
-def _detectability(found: DetectabilityCertificate) -> tuple[Constant, ...]:
+def _detectability(certificate: DetectabilityCertificate) -> tuple[Constant, ...]:
     """Constants of Definition 1, renamed c_2 where Theorem 14 calls c_y so."""
-    start = found.constants or (
-        Constant("eta", found.eta, r"\eta", "Definition 1, from the dissipation inequality", r"\eta"),
-        Constant("c_w", found.c_w, r"c_w", "Definition 1, from the dissipation inequality", "c_w"),
+    start = certificate.constants or (
+        Constant("eta", certificate.eta, r"\eta", "Definition 1, from the dissipation inequality", r"\eta"),
+        Constant("c_w", certificate.c_w, r"c_w", "Definition 1, from the dissipation inequality", "c_w"),
     )
-    kept = tuple(c for c in start if c.name != "c_y")
-    return (*kept, Constant("c_2", found.c_y, r"c_2=c_y", "Theorem 10, used in (28)", "c_2"))
+    others = tuple(c for c in start if c.name != "c_y")
+    return (*others, Constant("c_2", certificate.c_y, r"c_2=c_y", "Theorem 10, used in (28)", "c_2"))
 
 
 def within_range(name: str, exponent: float) -> float:

@@ -248,11 +248,11 @@ def constants_from_proof(
         return _record(plant, schedule, variant, split, residual_alone(decay), None)
     samples = measure_hypotheses(split.retained, schedule, window, sigma_bar, kappa)
     cap = np.inf if decay is None else RATE_SHARE * decay.eta
-    found = _detectability(split.retained, variant, samples, cap, gain, Q, detectability)
-    proven = _VARIANTS[variant](found, samples)
+    certificate = _detectability(split.retained, variant, samples, cap, gain, Q, detectability)
+    proven = _VARIANTS[variant](certificate, samples)
     if decay is not None:
         proven = compose(split, proven, decay, samples.window, samples.kappa)
-    return _record(plant, schedule, variant, split, proven, found)
+    return _record(plant, schedule, variant, split, proven, certificate)
 
 
 _VARIANTS = {"paper": paper_weights, "tightened": tightened_weights}
@@ -355,14 +355,14 @@ def _record(
     variant: str,
     split: ModalSplit,
     proven: ProvenWeights,
-    found: DetectabilityCertificate | None,
+    detectability: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
     R = checks.freeze(2 * proven.R0 * np.eye(plant.n_outputs))
     frozen = {key: checks.freeze(getattr(proven, key)) for key in ("P1", "P2", "Qw")}
     return ProofConstants(
         plant=plant, schedule=schedule, variant=variant, **frozen, R=R, Qv=R, eta=proven.eta,
-        constants=ConstantList((*proven.constants, *theorem_9(proven))), detectability=found, split=split,
+        constants=ConstantList((*proven.constants, *theorem_9(proven))), detectability=detectability, split=split,
     )  # fmt: skip
 
 

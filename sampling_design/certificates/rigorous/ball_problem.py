@@ -38,9 +38,9 @@ class StatedInequality(NamedTuple):
 
 def positive_definite(name: str, M: Matrix) -> None:
     """Raise Refused unless M is certainly positive definite."""
-    found = definite(M)
-    if not found:
-        kind, word = (Refused, "is not") if found is False else (Undecided, "is not certainly")
+    answer = definite(M)
+    if not answer:
+        kind, word = (Refused, "is not") if answer is False else (Undecided, "is not certainly")
         raise kind(f"{name} > 0", f"{name} {word} positive definite")
 
 
@@ -106,7 +106,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
         for row, turned in zip(doubled, zip(*doubled, strict=True), strict=True)
     ]
     drive = [[exact(*x.as_integer_ratio()) for x in column] for column in G.T.tolist()]
-    found = [[zero] * n for _ in range(n)]
+    product = [[zero] * n for _ in range(n)]
     for k in range(q):
         pivot = form[k][k]
         if pivot < 0 or (pivot == 0 and any(x != 0 for x in form[k][k + 1 :])):
@@ -118,13 +118,13 @@ def noise(G: Array, Qw: Array) -> Matrix:
             continue
         for a in reached:
             for b in reached:
-                found[a][b] += drive[k][a] * drive[k][b] / pivot
+                product[a][b] += drive[k][a] * drive[k][b] / pivot
         for i in range(k + 1, q):
             if form[i][k] != 0:
                 share = form[i][k] / pivot
                 form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
                 drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
-    made: Matrix = flint().arb_mat([list(map(flint().arb, row)) for row in found]) if n else matrix(np.zeros((0, 0)))
+    made: Matrix = flint().arb_mat([list(map(flint().arb, row)) for row in product]) if n else matrix(np.zeros((0, 0)))
     return made
 
 

@@ -57,10 +57,10 @@ def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list
     if not frame.schedule.periodic:
         spend(frame.schedule.N)
         return one_period(frame, frame.start.mid(), inflation)
-    kept, worst = one_period(frame, long_run(frame, inflation, converged, spend), inflation)
+    covariances, worst = one_period(frame, long_run(frame, inflation, converged, spend), inflation)
     if not worst < LOST:
         raise ArithmeticError("the recursion settles far above what is claimed")
-    return kept, worst
+    return covariances, worst
 
 
 def long_run(
@@ -110,14 +110,14 @@ def _apply(period: Period, Y: Matrix) -> Matrix:
 
 def one_period(frame: ScheduleFrame, Y: Matrix, inflation: float) -> tuple[list[Matrix], float]:
     """Y after each sample, then inflated, and the largest eigenvalue; midpoints."""
-    kept, worst, more = [], 0.0, ball(inflation) * frame.identity
+    covariances, worst, more = [], 0.0, ball(inflation) * frame.identity
     for i, gap in enumerate(frame.schedule.gaps):
         F, W = frame.flow.over(gap)
         before = (F * Y * F.transpose() + W).mid()
         Y = _even(frame.with_gain(before, i, frame.gain(before, i))) + more
-        kept.append(Y)
+        covariances.append(Y)
         worst = max(worst, _top(before), _top(Y))
-    return kept, worst
+    return covariances, worst
 
 
 def _even(M: Matrix) -> Matrix:

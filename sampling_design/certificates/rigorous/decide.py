@@ -265,13 +265,13 @@ def targets(weights: Weights) -> list[StatedInequality]:
     third = StatedInequality(share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
     if not len(weights.P1):
         return []
-    kept = [first, second]
+    needed = [first, second]
     if definite(first.target - second.target):
-        kept = [first]
+        needed = [first]
     elif definite(second.target - first.target):
-        kept = [second]
-    implied = lam_samples >= lam or any(definite(other.target - third.target) for other in kept)
-    return kept if implied else [*kept, third]
+        needed = [second]
+    implied = lam_samples >= lam or any(definite(other.target - third.target) for other in needed)
+    return needed if implied else [*needed, third]
 
 
 def assumption_7(c: Sampled, clock: Budget) -> Verdict:

@@ -49,10 +49,10 @@ def decided(
     if slack is not None:
         return slack
     values, vectors = np.linalg.eigh(floats(M))
-    found = downhill(M)
-    if found is None:
+    witness = downhill(M)
+    if witness is None:
         raise Undecided(name, f"{name} could not be decided: it is tight or nearly so", float(values[0]), when)
-    value, z = found
+    value, z = witness
     guess = matrix(vectors[:, :1])
     quotient = (guess.transpose() * M * guess)[0, 0] / (guess.transpose() * guess)[0, 0]
     if quotient < value:

@@ -61,18 +61,18 @@ class RefutationSearch:
         parts, start = np.arange(PARTS + 1) / PARTS, floats(self.frame.start)
         pairs = [[self.frame.flow.over(gap * float(part)) for part in parts] for gap in self.schedule.gaps]
         flows = [(np.array([floats(F) for F, _ in row]), np.array([floats(W) for _, W in row])) for row in pairs]
-        found = []
+        points = []
         for i in range(self.schedule.N):
             ends = {self.gaps[i], float(self.schedule.first) if i == 0 else self.gaps[i]}
             r = np.array(sorted(ends)) if self.samples_only else parts * self.reach[i]
             Y = np.array([self.step(start, float(x)) for x in r])
-            found.append(self._best(Y, i, r, 0, np.zeros(1)))
-            found += self._followed(Y, i, r, flows)
-        return sorted(found, key=lambda point: (-round(point.value, 12), point.k))
+            points.append(self._best(Y, i, r, 0, np.zeros(1)))
+            points += self._followed(Y, i, r, flows)
+        return sorted(points, key=lambda point: (-round(point.value, 12), point.k))
 
     def _followed(self, Y: Array, i: int, r: Array, flows: list[tuple[Array, Array]]) -> list[WindowPoint]:
         """Best points along the windows that start r before sample i, until a period changes nothing."""
-        schedule, found, before, parts = self.schedule, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
+        schedule, points, before, parts = self.schedule, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
         for k in range(1, PERIODS * schedule.N + 1):
             at = (i + k - 1) % schedule.N
             self.clock.check(100 + r.size * PARTS * self.frame.n)
@@ -85,9 +85,9 @@ class RefutationSearch:
                 before = Y
             F, W = (part[:, None] for part in flows[after])
             stack = propagate(Y, F, W)
-            found.append(self._best(stack.reshape(-1, *Y.shape[1:]), i, r, k, parts * self.gaps[after]))
+            points.append(self._best(stack.reshape(-1, *Y.shape[1:]), i, r, k, parts * self.gaps[after]))
             Y = stack[-1]
-        return found
+        return points
 
     def _best(self, Y: Array, i: int, r: Array, k: int, times: Array) -> WindowPoint:
         values = np.linalg.eigvalsh(Y)[:, -1].reshape(times.size, r.size)

@@ -214,15 +214,15 @@ class MeasurementTable:
     def _output(self, i: int, cells: tuple[str, ...], censored: dict[int, list[CensoredReading]]) -> Array | None:
         """The numbers of an output, NaN beyond a limit of detection, which joins `censored` by its row; else None."""
         limits = {row: cell[0] for row, cell in enumerate(map(str.strip, cells)) if cell[:1] in ("<", ">")}
-        found = self._column(tuple(cell.strip().removeprefix(limits.get(row, "")) for row, cell in enumerate(cells)))
-        if found is None or not limits:
-            return found
-        values = found[list(limits)].tolist()
-        found[list(limits)] = np.nan
+        numbers = self._column(tuple(cell.strip().removeprefix(limits.get(row, "")) for row, cell in enumerate(cells)))
+        if numbers is None or not limits:
+            return numbers
+        values = numbers[list(limits)].tolist()
+        numbers[list(limits)] = np.nan
         for (row, limit), value in zip(limits.items(), values, strict=True):
             ends = (-np.inf, value) if limit == "<" else (value, np.inf)
             censored.setdefault(row, []).append(CensoredReading(i, *ends))
-        return None if np.isnan(values).any() else found
+        return None if np.isnan(values).any() else numbers
 
     def _stamps(self, cells: tuple[str, ...]) -> Array | None:
         if self.stamp == "time":
@@ -333,10 +333,10 @@ def _content(outputs: list[float], inputs: list[float], censored: list[CensoredR
 
 def _beside(columns: list[Array | None], rows: int) -> Array | None:
     """Columns as one table; None where one of them is."""
-    found = [column for column in columns if column is not None]
-    if len(found) < len(columns):
+    known = [column for column in columns if column is not None]
+    if len(known) < len(columns):
         return None
-    return np.stack(found, axis=1) if found else np.zeros((rows, 0))
+    return np.stack(known, axis=1) if known else np.zeros((rows, 0))
 
 
 def held_on(inputs: Array, before: Array | None = None) -> Array:

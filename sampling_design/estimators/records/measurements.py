@@ -137,11 +137,11 @@ class Measurements(ListRecord[MeasuredRow]):
     @property
     def measured(self) -> Mask:
         """(N, p) where something was read: a number, a limit or a mean."""
-        found = np.isfinite(self.y)
+        measured = np.isfinite(self.y)
         for k, row in enumerate(self.censored):
             if row:
-                found[k, [each.output for each in row]] = True
-        return found
+                measured[k, [each.output for each in row]] = True
+        return measured
 
     def samples(self, numbers: bool = False) -> tuple[Array, Mask]:
         """Times (K,) at which something was measured, in order, and (K, p) which outputs were.
@@ -151,9 +151,9 @@ class Measurements(ListRecord[MeasuredRow]):
         taken = np.isfinite(self.y) if numbers else self.measured
         rows = np.flatnonzero(taken.any(axis=1))
         times, at = np.unique(self.times[rows], return_inverse=True)
-        found = np.zeros((times.size, taken.shape[1]), dtype=bool)
-        np.logical_or.at(found, at, taken[rows])
-        return times, found
+        outputs = np.zeros((times.size, taken.shape[1]), dtype=bool)
+        np.logical_or.at(outputs, at, taken[rows])
+        return times, outputs
 
     @property
     def start(self) -> float:

@@ -460,9 +460,9 @@ def test_a_certificate_is_sealed_and_read_once_however_often_it_is_tried(tries, 
     def counted(module, name):
         function = getattr(module, name)
 
-        def call(*arguments):
+        def call(*arguments, **named):
             counts[name] += 1
-            return function(*arguments)
+            return function(*arguments, **named)
 
         monkeypatch.setattr(module, name, call)
 

@@ -555,7 +555,7 @@ def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls
 
     def counted(module, name):
         function = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda *given: [counts.update([name]), function(*given)][1])
+        monkeypatch.setattr(module, name, lambda *given, **named: [counts.update([name]), function(*given, **named)][1])
 
     for module, name in ((record, "with_digest"), (proof, "certificate"), (search, "judged_while_sought")):
         counted(module, name)

@@ -51,7 +51,7 @@ def files() -> dict[str, Path]:
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
-    plan = sd.plan_samples(plant, wanted, search_seconds=1.0, certificate=False, robustness=False, start=False)
+    plan = sd.plan_samples(plant, wanted, search_seconds=1.0, certificate=False, robustness=False, from_start=False)
     made["planned.json"] = plan.save(place / "planned.json")
     for name, path in list(made.items()):
         made |= _broken(place, name, path.read_bytes())

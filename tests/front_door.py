@@ -133,7 +133,7 @@ def _stiffness(share: float = 1.0) -> sd.UncertainParameter:
 @functools.cache
 def _small_plan() -> Any:
     return sd.plan_samples(
-        things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False, start=False
+        things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False, from_start=False
     )
 
 
@@ -173,7 +173,7 @@ def named() -> dict[str, Any]:
         "name": "oscillator", "states": ["p", "v"], "outputs": None, "inputs": None, "disturbances": None,
         "source": "a book", "names": ["a", "b"], "units": ["m", "s"], "scales": [1.0, 2.0],
         "system": plant.to_control(),
-        "t": 1.5, "T": 2.0, "start": 0.0, "stop": 3.0, "closed": "both", "unit": "min", "times": [0.5, 1.0, 2.2],
+        "t": 1.5, "T": 2.0, "start": 0.0, "end": 3.0, "closed": "both", "unit": "min", "times": [0.5, 1.0, 2.2],
         "gaps": [0.7, 0.9], "first": 0.2, "period": 2.0, "origin": "2026-01-01T00:00:00", "output_names": ["y1"],
         "window": 4.0, "count": 3, "spacing": 0.5, "shortest": 0.9, "longest": 3, "most": 1, "of": 4,
         "timing_tolerance": 0.1,
@@ -264,7 +264,7 @@ def special() -> dict[str, dict[str, Any]]:
         "estimator_for": {"certificate": None},
         "estimate_curve": {"estimator": owner("KalmanFilter"), "points": 2},
         "error_map": {"cost": "certificate"},
-        "plant_along": {"plant": t["nonlinear"], "start": [0.5, 0.2], "horizon": 1.0},
+        "plant_along": {"plant": t["nonlinear"], "x0": [0.5, 0.2], "duration": 1.0},
         "sweep": {"question": sd.plants.split_modes, "items": [plant]},
         "Measurements": {"times": [0.5, 1.0], "y": [[0.1], [0.2]]},
         "Signals": {},

@@ -43,14 +43,14 @@ def guaranteed_accuracy(
     *,
     w_bound: Bound = None,
     v_bound: NoiseBound = None,
-    of: Wanted = None,
-    rtol: float | None = None,
     initial_error: InitialError = None,
+    of: Wanted = None,
+    timing_tolerance: Timing = 0.0,
     start: float | None = None,
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
-    timing_tolerance: Timing = 0.0,
+    rtol: float | None = None,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -74,23 +74,23 @@ def guaranteed_accuracy(
         schedule (a better instrument today); 0 for an exact sensor. A mapping gives each output by name a number, a
         pair, one for each sample, a function of its time, or its `schedules.Sensor`: with a `result_delay` both sides
         are those of what is known at the time, results still out.
-    of : str, sequence of str, or (r, n) array, optional
-        Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
-    rtol : float
-        Relative width of the brackets; default 0.01, over a box 0.1.
     initial_error : float, (n,) or (n, n) array, or mapping, optional
         What is known of x(start) less its nominal value on a finite schedule: a bound on its Euclidean norm, on each
         entry (infinite: unknown), a weight P for e'P e <= 1, or by names of states. Default: nothing.
-    start, end : float, optional
-        Of a finite schedule; default its first and its last sample.
-    w_intensity, v_deviation : float or array, optional
-        Sizes of white noises, as for `standard_deviation`, which then stands beside.
+    of : str, sequence of str, or (r, n) array, optional
+        Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
     timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
         How early or late each sample may be, together less than the least gap: both sides are then those of all such
         times, which are known once samples are taken. What follows from a sample counts from `late` after its planned
         time on; the sample times of the record are the middles. Of a finite schedule `start` and `end` (default: the
         last sample and `late`) leave room for it. By output: those of one sample may fall apart, each within its own;
         `lower` is then that of times at which they come together.
+    start, end : float, optional
+        Of a finite schedule; default its first and its last sample.
+    w_intensity, v_deviation : float or array, optional
+        Sizes of white noises, as for `standard_deviation`, which then stands beside.
+    rtol : float
+        Relative width of the brackets; default 0.01, over a box 0.1.
     budget : float, optional [seconds]
         Searches end then, a few programs for each row that is left after: the bracket is proven, and `closed` says
         where it is wider than `rtol`. An interrupt (Ctrl-C) ends them likewise; a second one is raised.

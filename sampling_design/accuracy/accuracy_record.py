@@ -334,7 +334,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             "row": Variable(("row",), np.array(self.rows.names, dtype=str)),
             "unit": Variable(("row",), np.array(self.rows.units, dtype=str)),
             "start": Variable(("cell",), profile.edges[:-1], time),
-            "stop": Variable(("cell",), profile.edges[1:], time),
+            "end": Variable(("cell",), profile.edges[1:], time),
             "lower": Variable(("row", "cell"), profile.lower),
             "upper": Variable(("row", "cell"), profile.upper),
             "sample": Variable(("sample",), profile.samples, time),

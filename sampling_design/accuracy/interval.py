@@ -361,11 +361,11 @@ def state_interval(
     record: Iterable[Arrived],
     t: float | None = None,
     *,
+    prior: npt.ArrayLike | None = None,
+    prior_time: float | None = None,
     w_bound: Bound = None,
     v_bound: Bound = None,
     initial_error: npt.ArrayLike | None = None,
-    prior: npt.ArrayLike | None = None,
-    prior_time: float | None = None,
     of: Wanted = None,
     outliers: int | tuple[int, int] = 0,
 ) -> Interval:
@@ -379,15 +379,15 @@ def state_interval(
         `BelowDetection(0.5)`, `AboveRange(8)` (limits) or `CompositeReading(3.1, since=0.0)` (a composite sample).
     t : float, optional
         From the start on, before the last sample what all samples say of that time; default the last sample.
+    prior : (n,) array, optional
+        Default 0.
+    prior_time : float, optional
+        Not after the first sample; default the first sample.
     w_bound, v_bound : float, array, mapping, or for v a function of time
         As for `guaranteed_accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold
         pairs (lower, upper); `v_bound` may have a row for each sample.
     initial_error : float or (n,) array, optional
         Bound on |x - prior| at `prior_time`, Euclidean or entry by entry. Default: nothing is known.
-    prior : (n,) array, optional
-        Default 0.
-    prior_time : float, optional
-        Not after the first sample; default the first sample.
     of : str, sequence of str, or (r, n) array, optional
         As for `guaranteed_accuracy`.
     outliers : int or (int, int)

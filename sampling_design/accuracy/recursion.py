@@ -79,10 +79,10 @@ class PeriodicGains:
     ----------
     found : Accuracy
         Of a periodic schedule; its plant, bounds and rows.
-    initial_error : float, (n,) or (n, n) array, or mapping
-        What is known of x at the first sample less `prior`, as for `accuracy`; all states must be bounded.
     prior : (n,) array, optional
         The state expected at the first sample. Default 0.
+    initial_error : float, (n,) or (n, n) array, or mapping
+        What is known of x at the first sample less `prior`, as for `accuracy`; all states must be bounded.
     first : int
         Place in the period of the first sample.
 
@@ -115,7 +115,7 @@ class PeriodicGains:
 
     @checked
     def __init__(
-        self, found: Accuracy, *, initial_error: InitialError = None, prior: npt.ArrayLike | None = None, first: int = 0
+        self, found: Accuracy, *, prior: npt.ArrayLike | None = None, initial_error: InitialError = None, first: int = 0
     ) -> None:
         plant, finite = found.plant, "`found` must be the accuracy of a periodic schedule, got that of one that ends."
         schedule = period_of(found.schedule, finite)

@@ -105,28 +105,28 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: ScaledProblem) -> tuple[
 def certify(
     plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+    noise_gain: float = ..., of: Wanted = ..., budget: float | None = ..., progress: Progress | None = ...,
     **bounds: Unpack[ErrorBoundArguments],
 ) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    noise_gain: float = ..., budget: float | None = ..., memory: int | None = ..., progress: Progress | None = ...,
-    of: Wanted = ..., **bounds: Unpack[ErrorBoundArguments],
+    noise_gain: float = ..., of: Wanted = ..., memory: int | None = ..., budget: float | None = ...,
+    progress: Progress | None = ..., **bounds: Unpack[ErrorBoundArguments],
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: AnySchedule | SamplingFamily, *, eta: float | None = ...,
-    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+    noise_gain: float = ..., of: Wanted = ..., budget: float | None = ..., progress: Progress | None = ...,
     **bounds: Unpack[ErrorBoundArguments],
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: Timing, eta: float | None = ...,
     P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
-    Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ...,
-    memory: int | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+    Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., of: Wanted = ...,
+    memory: int | None = ..., budget: float | None = ..., progress: Progress | None = ...,
     **bounds: Unpack[ErrorBoundArguments],
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
@@ -146,11 +146,11 @@ def certify(
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
     noise_gain: float = 3.0,
-    budget: float | None = None,
+    of: Wanted = None,
     memory: int | None = None,
     timing_tolerance: Timing = 0.0,
+    budget: float | None = None,
     progress: Progress | None = None,
-    of: Wanted = None,
     **bounds: Unpack[ErrorBoundArguments],
 ) -> SampledCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
@@ -182,10 +182,10 @@ def certify(
         C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
         their scales. Only used where P2 is chosen. Where nothing is proven with it, a plant that decays on its own is
         certified without, which `explain()` says.
-    budget : float, optional [seconds]
-        Of the whole call. What is best by then is proven and returned; without a budget the work is counted, and the
-        result is the same on every machine. An interrupt (KeyboardInterrupt) ends the search of weights likewise, once
-        it holds some; a second one ends the call.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). The
+        certificate is about the part of the plant that they need, and its file holds the whole plant beside it.
+        Default: all states.
     memory : int, optional
         For a family alone: how much of the past its graph remembers (0 the least). Default: as little as is enough.
     timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
@@ -194,12 +194,12 @@ def certify(
         returned. A first sample that could come before time 0 is refused. By output: where each sample reads one, each
         about the middle of its own times, all within the largest radius, which is safe. Where a sample reads several
         they come apart, in any order: an `OutputJitter` family, for an exactly known plant and diagonal R and Qv.
+    budget : float, optional [seconds]
+        Of the whole call. What is best by then is proven and returned; without a budget the work is counted, and the
+        result is the same on every machine. An interrupt (KeyboardInterrupt) ends the search of weights likewise, once
+        it holds some; a second one ends the call.
     progress : callable, optional
         Called with (fraction, message).
-    of : str, sequence of str, or (k, n) array, optional
-        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). The
-        certificate is about the part of the plant that they need, and its file holds the whole plant beside it.
-        Default: all states.
 
     Returns
     -------

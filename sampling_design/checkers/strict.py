@@ -26,7 +26,9 @@ MOST_BYTES = 100_000_000  # of one file; a family certificate of 400 nodes and 2
 MOST_ITEMS = 20_000_000  # values of one file
 MOST_DEPTH = 20  # lists and tables inside each other; certificates have six levels
 MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
-NEAR = 0.5  # twice the letters that two words share over all of theirs: from here on one is a slip for the other
+NEAR = 0.6  # twice the letters that two words share over all of theirs: from here on one is a slip for the other
+ALIKE = 0.5  # the same of two words that begin alike
+PART = 3  # letters from which on a word that stands in another says that it is meant, and two words begin alike
 LONGEST_NAME = 60  # letters of a name that a sentence repeats
 MOST_LISTED = 12  # names that a sentence lists
 ELSEWHERE: dict[str, list[str]] = {}
@@ -343,10 +345,23 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
 
 def likely(word: str, known: Collection[str]) -> str:
     """What a word that is not known may have meant: what others call so, the nearest one, or all where none is near."""
-    found = {name.casefold(): name for name in known}
-    near = [name for name in ELSEWHERE.get(word, ()) if name in found]
-    near = near or difflib.get_close_matches(word[:LONGEST_NAME].casefold(), found, n=1, cutoff=NEAR)
-    return f"Did you mean {found[near[0]]!r}?" if near else f"Known: {listed(known)}."
+    near = next((name for name in ELSEWHERE.get(word, ()) if name in known), nearest(word, known))
+    return f"Did you mean {near!r}?" if near else f"Known: {listed(known)}."
+
+
+def nearest(word: str, known: Collection[str]) -> str:
+    """The name that a word is a slip for or a part of, or "": one letter names nothing but itself."""
+    near, best = "", 0.0
+    asked = word[:LONGEST_NAME].casefold()
+    for name in known:
+        found = name.casefold()
+        share = difflib.SequenceMatcher(None, found, asked).ratio()
+        long = min(len(found), len(asked)) >= PART
+        part = found.startswith(asked) or (long and (found in asked or asked in found))
+        slip = share >= (ALIKE if long and found[:PART] == asked[:PART] else NEAR)
+        if share > best and (part or slip) and (len(found) > 1 or {*found} == {*asked}):
+            near, best = name, share
+    return near
 
 
 def listed(names: Collection[str]) -> str:

@@ -135,7 +135,7 @@ def design(
     settings.write_json(result.to_dict(), "design")
     folder, next_steps = settings.folder(), list[str]()
     if folder is not None and result.schedule is not None and result.sigma > 0:
-        paths, notes = sd.design.write_design(result, folder, start=zero, zone=zone)
+        paths, notes = sd.design.write_design(result, folder, origin=zero, zone=zone)
         settings.wrote(*paths, notes=notes)
         settings.draw(result, "design", origin=zero)
         next_steps = [f"Next: sampling-design certify {plant_file} {folder / 'schedule.csv'} -o {folder}"]

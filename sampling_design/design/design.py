@@ -62,13 +62,13 @@ def design_schedule(
     plant: Plant,
     requirement: Requirement | None = None,
     *,
-    rng: Seed = None,
+    of: Wanted = None,
     starts: int = STARTS,
     branches: int | None = None,
     rtol: float = 0.001,
+    rng: Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
-    of: Wanted = None,
 ) -> ScheduleDesign:
     """Design an endless periodic schedule whose worst window sees the state as well as possible.
 
@@ -79,8 +79,8 @@ def design_schedule(
     plant : Plant
     requirement : Requirement, optional
         What is left out is filled in from the plant's modes and reported in `defaults_used`.
-    rng : numpy.random.Generator or its seed, optional
-        Draws the random starts. Default: seeded with 0.
+    of : str, sequence of str, or (k, n) array, optional
+        Rows of the state that must be seen, instead of `requirement.of`. Default: those.
     starts : int
         Starts that are refined, beside the even and the rounded ones.
     branches : int, optional
@@ -90,6 +90,8 @@ def design_schedule(
         states fewer, each of which takes longer).
     rtol : float
         Width of the bracket that proves sigma.
+    rng : numpy.random.Generator or its seed, optional
+        Draws the random starts. Default: seeded with 0.
     budget : float, optional [seconds]
         Relaxations, search and branching stop then; what is there is proven, within half as much time again. The
         bound holds but is wider, and `status` says "budget". An interrupt (Ctrl-C) ends the work likewise, `status`
@@ -97,8 +99,6 @@ def design_schedule(
     progress : callable, optional
         Called with the fraction done and a message: sigma that is proven or was found, the bound, the gap between them,
         and what is done. The first comes as soon as even spacing is proven.
-    of : str, sequence of str, or (k, n) array, optional
-        Rows of the state that must be seen, instead of `requirement.of`. Default: those.
 
     Returns
     -------

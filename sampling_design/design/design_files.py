@@ -21,7 +21,7 @@ AHEAD = 400  # days in which the next change of a zone's clocks is looked for
 
 @checked
 def write_design(
-    design: ScheduleDesign, folder: str | os.PathLike[str], *, start: str | None = None, zone: str | None = None
+    design: ScheduleDesign, folder: str | os.PathLike[str], *, origin: str | None = None, zone: str | None = None
 ) -> tuple[list[Path], list[str]]:
     """Write schedule.csv and, where time 0 has a date, calendar.csv and schedule.ics.
 
@@ -29,7 +29,7 @@ def write_design(
     ----------
     design : ScheduleDesign
     folder : path
-    start : str, optional
+    origin : str, optional
         Date of time 0 (ISO 8601).
     zone : str, optional
         Time zone of the calendars, as Europe/Berlin; default UTC.
@@ -54,11 +54,11 @@ def write_design(
     if design.schedule is None:
         raise ArgumentError("`design` must be a ScheduleDesign with a schedule, or there is no file to write.")
     place = Path(folder)
-    if start is None:
+    if origin is None:
         return [write_schedule(design.schedule, place / "schedule.csv")], []
-    dated, span, notes = replace(design.schedule, origin=start), None, []
+    dated, span, notes = replace(design.schedule, origin=origin), None, []
     if zone is not None and _has_hours(design.requirement):
-        zero = parse_date("start", start, zone)
+        zero = parse_date("origin", origin, zone)
         before, after = next(clock_changes(zone, zero, zero + timedelta(days=AHEAD)), (None, None))
         if before is not None and after is not None:
             span = passed(zero, after) / timedelta(seconds=SECONDS[design.plant.time_unit])

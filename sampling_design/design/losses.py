@@ -113,8 +113,8 @@ def sample_losses(
     design: ScheduleDesign,
     *,
     every_period: bool = False,
-    rng: Seed = None,
     rtol: float = 0.001,
+    rng: Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> SampleLosses:
@@ -126,10 +126,10 @@ def sample_losses(
     every_period : bool
         Leave the sample out of every period (its price), or miss it once (a window that spans several periods
         then keeps the sample of the others).
-    rng : numpy.random.Generator or its seed, optional
-        As for `design_schedule`: what designs the schedules with one sample fewer in every period.
     rtol : float
         As for `window_sigma`.
+    rng : numpy.random.Generator or its seed, optional
+        As for `design_schedule`: what designs the schedules with one sample fewer in every period.
     budget : float, optional [seconds]
         What is not proven by then keeps the bounds it has: `lower` may be 0, `bound` that of the multipliers so far.
     progress : callable, optional
@@ -185,10 +185,10 @@ def design_and_losses(
     requirement: Requirement | None = None,
     *,
     every_period: bool = False,
+    of: Wanted = None,
     rng: Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
-    of: Wanted = None,
 ) -> tuple[ScheduleDesign, SampleLosses | None]:
     """Design a schedule, and prove what the loss of each of its samples costs; each takes half of the budget.
 
@@ -198,12 +198,12 @@ def design_and_losses(
     requirement : Requirement, optional
     every_period, progress
         As for `sample_losses`.
+    of : str, sequence of str, or (k, n) array, optional
+        As for `design_schedule`.
     rng : numpy.random.Generator or its seed, optional
         Both begin with it, as it was.
     budget : float, optional [seconds]
         Of both together.
-    of : str, sequence of str, or (k, n) array, optional
-        As for `design_schedule`.
 
     Returns
     -------

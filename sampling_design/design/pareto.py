@@ -145,8 +145,8 @@ def pareto_front(
     rng: Seed = None,
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
-    progress: Progress | None = None,
     budget: float | None = None,
+    progress: Progress | None = None,
     **options: object,
 ) -> ParetoFront:
     """Design a schedule for every count of samples per period.
@@ -164,11 +164,11 @@ def pareto_front(
         Default: one after the other.
     resume : path, optional
         A JSON file that is written after every count; what it holds already is not designed again.
-    progress : callable, optional
-        Called with the fraction done and a message.
     budget : float, optional [seconds]
         For all counts together, each of which gets its share of what is left; counts that time was not left for say
         so, and are not written to `resume`.
+    progress : callable, optional
+        Called with the fraction done and a message.
     **options
         As for `design_schedule` (starts, branches, rtol, of).
 

@@ -344,7 +344,7 @@ def prove(
 ) -> WindowSigma:
     """Sigma of the retained part over all real window positions."""
     found = window_sigma(
-        split.retained, schedule, float(requirement.window or 0), rtol, budget, progress,
+        split.retained, schedule, float(requirement.window or 0), rtol, budget=budget, progress=progress,
         timing_tolerance=TimingTolerance.of(requirement.timing_tolerance).plain,
     )  # fmt: skip
     return replace(found, coordinates=coordinates_in(split))

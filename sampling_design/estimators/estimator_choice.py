@@ -118,8 +118,8 @@ def estimator_for(
     w_bound: npt.ArrayLike | None = None,
     v_bound: npt.ArrayLike | None = None,
     initial_error: npt.ArrayLike | None = None,
-    progress: Progress | None = None,
     of: Wanted = None,
+    progress: Progress | None = None,
 ) -> RecordEstimator:
     """Return a moving horizon estimator for a record, with the strongest guarantee that is at hand.
 
@@ -141,12 +141,12 @@ def estimator_for(
         State before any sample; default 0.
     w_bound, v_bound, initial_error : float or array, optional
         Default: the plant's scales.
-    progress : callable, optional
-        Called with (fraction, message) while a certificate is sought.
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
         is given, and what is returned, is of the part that they need, `estimator.plant`, whose first states they are.
         Default: all states.
+    progress : callable, optional
+        Called with (fraction, message) while a certificate is sought.
 
     Returns
     -------

@@ -20,14 +20,14 @@ class SetMembershipEstimator(KalmanFilter):
     Parameters
     ----------
     plant : Plant
-    w_bound, v_bound : float or array
-        Bounds on |w(t)| and |v|: a number bounds the Euclidean norm, a vector each entry.
-    initial_error : float or array, optional
-        Bound on |x - prior|; default: nothing is known, and states are unbounded until the samples show them.
-    prior, prior_time, input_side, maximum_delay, of
-        As for `KalmanFilter`.
     constraints : Constraints, optional
         What else is known of x, v and w.
+    w_bound, v_bound : float or array
+        Bounds on |w(t)| and |v|: a number bounds the Euclidean norm, a vector each entry.
+    prior, prior_time, input_side, maximum_delay, of
+        As for `KalmanFilter`.
+    initial_error : float or array, optional
+        Bound on |x - prior|; default: nothing is known, and states are unbounded until the samples show them.
 
     Raises
     ------
@@ -57,12 +57,12 @@ class SetMembershipEstimator(KalmanFilter):
         self,
         plant: Plant,
         *,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
-        initial_error: npt.ArrayLike | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
         constraints: Constraints | None = None,
+        w_bound: npt.ArrayLike | None = None,
+        v_bound: npt.ArrayLike | None = None,
+        initial_error: npt.ArrayLike | None = None,
         input_side: str = "right",
         maximum_delay: float = 0.0,
         of: Wanted = None,

@@ -139,7 +139,7 @@ class DetectabilityEvidence(YesOrNo):
 def check_detectability(
     plant: NonlinearPlant,
     schedule: Schedule | PeriodicSchedule,
-    start: object = None,
+    x0: object = None,
     *,
     cost: CostFunction,
     P1: object = None,
@@ -160,7 +160,7 @@ def check_detectability(
     plant : NonlinearPlant
     schedule : Schedule or PeriodicSchedule
         Generates the sets K_i; the pairs take them in turn. An output that is not measured at a sample is free there.
-    start : (lower, upper), optional
+    x0 : (lower, upper), optional
         Box from which initial states are drawn, uniformly. Default: the plant's box of states, if finite.
     cost : CostFunction
         P2, Qw, R, Qv (physical weights, with the estimator's defaults) and eta, which must be given.
@@ -210,7 +210,7 @@ def check_detectability(
     """
     if cost.eta is None:
         raise ArgumentError("`cost` must give a rate here: CostFunction(eta=...).")
-    study = DetectabilityStudy(plant, scaled_weights(plant, cost), start, duration, dt, u)
+    study = DetectabilityStudy(plant, scaled_weights(plant, cost), x0, duration, dt, u)
     left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
     rng = checks.generator(rng)
     count, sets = checks.whole("pairs", pairs, 1), SamplingSet(schedule)
@@ -231,12 +231,12 @@ class DetectabilityStudy:
     """What all pairs share."""
 
     def __init__(
-        self, plant: NonlinearPlant, weights: NonlinearWeights, start: object, duration: object, step: object, u: object
+        self, plant: NonlinearPlant, weights: NonlinearWeights, x0: object, duration: object, step: object, u: object
     ) -> None:
         self.plant, self.weights = plant, weights
-        self.start = own_box("states", plant.bounds["states"] if start is None else start, plant.n_states)
+        self.start = own_box("states", plant.bounds["states"] if x0 is None else x0, plant.n_states)
         if not np.all(np.isfinite(self.start)):
-            raise ArgumentError("`start` must be a finite box (lower, upper): the plant's box of states is not.")
+            raise ArgumentError("`x0` must be a finite box (lower, upper): the plant's box of states is not.")
         self.duration = checks.positive("duration", duration)
         self.step = self.duration / 40 if step is None else checks.positive("dt", step)
         self.u = checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
@@ -246,7 +246,7 @@ class DetectabilityStudy:
     def evidence(self, found: list[tuple[PairOutcome, PairWitness]], left_out: int) -> DetectabilityEvidence:
         """Return the record of the pairs that stayed in X. Raises ArgumentError if there are none."""
         if not found:
-            raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
+            raise ArgumentError("`x0` must hold states from which pairs stay in X, got none: every pair left it.")
         least, witness = min(found, key=lambda item: item[0].ratio)
         unit = self.plant.time_unit
         statement = f"(16) along {len(found)} random pairs of length {short(self.duration)} {unit}"

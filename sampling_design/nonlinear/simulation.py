@@ -86,16 +86,16 @@ def simulate(
 
 
 @checked
-def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: npt.ArrayLike = ()) -> TimeVaryingPlant:
-    """Return the small deviations from a nonlinear plant's trajectory from `start`, with constant u and w = 0.
+def plant_along(plant: NonlinearPlant, x0: npt.ArrayLike, duration: float, u: npt.ArrayLike = ()) -> TimeVaryingPlant:
+    """Return the small deviations from a nonlinear plant's trajectory from `x0`, with constant u and w = 0.
 
         d' = f_x(t, x(t)) d + f_w w,    y = h_x(t, x(t)) d + h_v v,    d the deviation from x(t)
 
     Parameters
     ----------
     plant : NonlinearPlant
-    start : (n,) array
-    horizon : float [time]
+    x0 : (n,) array
+    duration : float [time]
     u : (m,) array, optional
         Default 0.
 
@@ -111,9 +111,9 @@ def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: 
     SolverError
         If the trajectory cannot be followed.
     """
-    x0 = checks.vector("start", start, plant.n_states)
+    x0 = checks.vector("x0", x0, plant.n_states)
     control = checks.vector("u", np.zeros(plant.n_inputs) if not np.size(u) else u, plant.n_inputs)
-    end, scale = checks.positive("horizon", horizon), plant.states.scales
+    end, scale = checks.positive("duration", duration), plant.states.scales
     still = np.zeros(plant.n_disturbances)
 
     def rate(t: float, z: Array) -> Array:

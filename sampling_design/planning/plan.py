@@ -80,7 +80,7 @@ def plan_samples(
     search_seconds: float | None = 60.0,
     certificate: bool = True,
     robustness: bool = True,
-    start: bool = True,
+    from_start: bool = True,
     progress: Progress | None = None,
 ) -> Plan:
     """Choose when to measure what, so that wanted accuracies are kept at the least cost, or are best for a cost.
@@ -101,7 +101,7 @@ def plan_samples(
         Also certify the samples, where they show the whole state.
     robustness : bool
         Also prove how late samples may be, and how many may be lost, before a tolerance breaks.
-    start : bool
+    from_start : bool
         Also prove from when on the tolerances are kept after the plan's start; `dates` does where it is not said.
     progress : callable, optional
         Called with the fraction done and a message: the best plan so far (the densest one before any is found), what
@@ -171,7 +171,7 @@ def plan_samples(
 
     certified = room_for("certificate", plan_certificate) if certificate else None
     bears = room_for("robustness", plan_robustness) if robustness else None
-    begins = room_for("start", plan_start) if start else None
+    begins = room_for("start", plan_start) if from_start else None
     return replace(found, certificate=certified, start=begins, robustness=bears, left_out=tuple(left_out))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_text
+from sampling_design.checkers.strict import is_text, likely
 from sampling_design.errors import ArgumentError, MissingExtraError
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
@@ -74,7 +74,9 @@ class Signals(ListRecord[str]):
         return self.names
 
     def _where(self, name: str) -> str:
-        return f" It is entry {self.names.index(name)}: names.index({name!r})." if name in self.names else ""
+        if name not in self.names:
+            return f" {likely(name, self.names)}"
+        return f" It is entry {self.names.index(name)}: names.index({name!r})."
 
     def with_more(self, names: Sequence[str], units: Sequence[str], scales: Sequence[float]) -> Signals:
         """Return these entries with others after them."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import json
 import math
 import os
@@ -18,7 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from sampling_design.checkers import strict
-from sampling_design.checkers.strict import Reader, Tree, is_list
+from sampling_design.checkers.strict import Reader, Tree, is_list, nearest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.arrays import Array
 
@@ -93,8 +92,8 @@ def _nearby(where: str) -> str:
         names = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
         name = Path(where).name
         stems = {Path(each).stem: each for each in sorted(names, reverse=True)}  # an ending makes no two names alike
-        near = [name] if name in stems else difflib.get_close_matches(Path(name).stem, stems, 1)
-        return f" Did you mean {stems[near[0]]}?" if near else ""
+        near = name if name in stems else nearest(Path(name).stem, stems)
+        return f" Did you mean {stems[near]}?" if near else ""
     return ""
 
 

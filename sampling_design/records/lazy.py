@@ -53,12 +53,12 @@ def _absent(package: str, name: str, public: list[str], rooms: tuple[str, ...]) 
     message = f"module {package!r} has no attribute {name!r}"
     if name.startswith("_"):
         return AttributeError(message)
-    from difflib import get_close_matches
+    from sampling_design.checkers.strict import nearest
 
     own = [room for room in rooms if name in getattr(import_module(f"{package}.{room}"), "__all__", ())]
     longer = [each for each in public if each.startswith(f"{name}_")]
-    close = [f"{room}.{name}" for room in own] or longer or get_close_matches(name, public, n=1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
+    close = next(iter([f"{room}.{name}" for room in own] or longer), "") or nearest(name, public)
+    hint = f"; did you mean {close!r}?" if close else ""
     # `from package import NAME` swallows an AttributeError with its words, and says only "cannot import name"
     importing = bool(hint) and sys._getframe(2).f_code.co_name == "_handle_fromlist"
     return (ImportError if importing else AttributeError)(message + hint)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, Type
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_text, is_whole
+from sampling_design.checkers.strict import is_text, is_whole, likely
 from sampling_design.errors import ArgumentError, CallError, MissingExtraError, UndecidedError
 from sampling_design.records import checks
 from sampling_design.records.declarations import Column, columns, said, selected
@@ -233,7 +233,7 @@ class ListRecord(Record, Generic[Listed]):
         return iter(self._entries())
 
     def _where(self, name: str) -> str:
-        """What leads to an entry of this name, in a sentence, or nothing."""
+        """What leads to an entry of this name, or to that which was meant, in a sentence, or nothing."""
         return ""
 
     @overload
@@ -264,7 +264,8 @@ class TableRecord(ListRecord[dict[str, object]]):
         return [dict(zip(names, row, strict=True)) for row in zip(*plain, strict=True)]
 
     def _where(self, name: str) -> str:
-        return f" A row has it: [0][{name!r}]; all rows: to_frame()." if name in self._columns() else ""
+        known = [*self._columns()]
+        return f" A row has it: [0][{name!r}]; all rows: to_frame()." if name in known else f" {likely(name, known)}"
 
     def __bool__(self) -> bool:
         return True  # a result is there, however many rows it has

@@ -35,7 +35,7 @@ class CalendarEntry:
 @checked
 def calendar(
     schedule: AnySchedule,
-    start: str | datetime | None = None,
+    origin: str | datetime | None = None,
     span: float | None = None,
     *,
     zone: str | None = None,
@@ -47,13 +47,13 @@ def calendar(
     ----------
     schedule : Schedule or PeriodicSchedule
         With its time unit.
-    start : str or datetime, optional
+    origin : str or datetime, optional
         Date of time 0 (ISO 8601; naive means in `zone`). Default: the schedule's origin.
     span : float, optional
         Samples in [0, span) [the schedule's time unit]. Default: all of a finite schedule, one period of
         a periodic one.
     zone : str, optional
-        IANA name of the time zone in which dates are given. Default: the offset of `start`, UTC if it has none.
+        IANA name of the time zone in which dates are given. Default: the offset of `origin`, UTC if it has none.
     grid : float, optional
         Dates are rounded to whole multiples of this [s] since midnight of the day of time 0, by the clocks of `zone`:
         900 gives full quarters of an hour. Default: whole seconds, and whole microseconds where samples lie less than
@@ -67,7 +67,7 @@ def calendar(
     Raises
     ------
     ArgumentError
-        If there is no time unit or no start, `span` is not positive, or a date lies beyond the year 9999.
+        If there is no time unit or no origin, `span` is not positive, or a date lies beyond the year 9999.
 
     Notes
     -----
@@ -81,7 +81,7 @@ def calendar(
     2026-01-05T00:00:00+00:00
     2026-01-05T16:00:00+00:00
     """
-    zero = _start(schedule, start, zone)
+    zero = _zero(schedule, origin, zone)
     place = zero.tzinfo if zone is None else time_zone(zone)
     unit = SECONDS[schedule.time_unit or ""]
     part = _part(schedule, span)
@@ -102,17 +102,17 @@ def calendar(
 def write_calendar_csv(
     schedule: AnySchedule,
     path: str | os.PathLike[str],
-    start: str | datetime | None = None,
+    origin: str | datetime | None = None,
     span: float | None = None,
     *,
     zone: str | None = None,
     grid: float | None = None,
 ) -> Path:
-    """Write `calendar(schedule, start, span, ...)` as CSV: date, time, and per output 1 or 0; return the path.
+    """Write `calendar(schedule, origin, span, ...)` as CSV: date, time, and per output 1 or 0; return the path.
 
     Parameters
     ----------
-    schedule, start, span, zone, grid
+    schedule, origin, span, zone, grid
         As for `calendar`.
     path : path
 
@@ -128,7 +128,7 @@ def write_calendar_csv(
     FileFormatError
         If the file cannot be written.
     """
-    entries = calendar(schedule, start, span, zone=zone, grid=grid)
+    entries = calendar(schedule, origin, span, zone=zone, grid=grid)
     names = _columns(schedule)
     lines = [",".join(["date", "time", *(csv_cell(n) for n in names)])]
     for entry in entries:
@@ -141,7 +141,7 @@ def write_calendar_csv(
 def write_ics(
     schedule: AnySchedule,
     path: str | os.PathLike[str],
-    start: str | datetime | None = None,
+    origin: str | datetime | None = None,
     span: float | None = None,
     *,
     summary: str = "Sample",
@@ -152,7 +152,7 @@ def write_ics(
 
     Parameters
     ----------
-    schedule, start, span
+    schedule, origin, span
         As for `calendar`. A periodic schedule whose period is whole seconds becomes one repeating event per
         sample of its period, without end if `span` is None; any other is written out over `span`.
     path : path
@@ -180,13 +180,13 @@ def write_ics(
     Notes
     -----
     *Numerical aspects.* Dates are UTC, or local in `zone`, rounded to whole seconds as the format asks. The same
-    schedule and start give the same file, octet for octet: DTSTAMP is the start, UIDs are digests.
+    schedule and origin give the same file, octet for octet: DTSTAMP is the origin, UIDs are digests.
 
     References
     ----------
     RFC 5545.
     """
-    zero, grain = _start(schedule, start, zone), 1.0 if grid is None else checks.positive("grid", grid)
+    zero, grain = _zero(schedule, origin, zone), 1.0 if grid is None else checks.positive("grid", grid)
     if grain != int(grain):
         raise ArgumentError(f"`grid` must be whole seconds in an iCalendar file, got {grid!r}.")
     rule = None
@@ -222,13 +222,13 @@ def write_ics(
     return write_text(path, "".join(_folded(line) + "\r\n" for line in lines))
 
 
-def _start(schedule: AnySchedule, start: str | datetime | None, zone: str | None = None) -> datetime:
+def _zero(schedule: AnySchedule, origin: str | datetime | None, zone: str | None = None) -> datetime:
     if schedule.time_unit is None:
         raise ArgumentError("`schedule` must have a time unit to become dates. Give time_unit=... when you build it.")
-    date = schedule.origin if start is None else start
+    date = schedule.origin if origin is None else origin
     if date is None:
-        raise ArgumentError("`start` is missing and the schedule has no origin. Give the date of time 0.")
-    return parse_date("start", date, zone)
+        raise ArgumentError("`origin` is missing, and the schedule has none. Give the date of time 0.")
+    return parse_date("origin", date, zone)
 
 
 def _grain(schedule: AnySchedule, grid: float | None) -> int:
@@ -269,7 +269,7 @@ def _date(zero: datetime, seconds: float, grain: int = 1) -> datetime:
         return exact + (step - over if 2 * over > step else -over)
     except OverflowError:
         raise ArgumentError(
-            f"`start` plus {seconds:.6g} s lies beyond the year 9999. Is the time unit right?"
+            f"`origin` plus {seconds:.6g} s lies beyond the year 9999. Is the time unit right?"
         ) from None
 
 

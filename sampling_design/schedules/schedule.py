@@ -40,8 +40,8 @@ class _Sampled(ListRecord[float]):
     endless: ClassVar[bool]
     """Whether it repeats without end."""
 
-    def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
-        """Return the samples in [start, stop]; `closed` = "both", "left", "right" or "neither"."""
+    def between(self, start: float, end: float, closed: str = "both") -> Schedule:
+        """Return the samples in [start, end]; `closed` = "both", "left", "right" or "neither"."""
         raise NotImplementedError
 
     @property
@@ -70,9 +70,9 @@ class _Sampled(ListRecord[float]):
         """Return the samples in the closed window [t - T, t], times as they are."""
         return self.between(t - T, t)
 
-    def count(self, start: float, stop: float, closed: str = "both") -> int:
-        """Return the number of samples in [start, stop]; `closed` as for `between`."""
-        return len(self.between(start, stop, closed))
+    def count(self, start: float, end: float, closed: str = "both") -> int:
+        """Return the number of samples in [start, end]; `closed` as for `between`."""
+        return len(self.between(start, end, closed))
 
     def _own(self, **values: Array | Mask | float | tuple[str, ...] | None) -> None:
         if self.time_unit is not None:
@@ -169,9 +169,9 @@ class Schedule(_Sampled):
         """Differences of successive times, shape (N-1,)."""
         return np.diff(self.times)
 
-    def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
-        """Return the samples in [start, stop]; `closed` = "both", "left", "right" or "neither"."""
-        keep = _inside(self.times, start, stop, closed)
+    def between(self, start: float, end: float, closed: str = "both") -> Schedule:
+        """Return the samples in [start, end]; `closed` = "both", "left", "right" or "neither"."""
+        keep = _inside(self.times, start, end, closed)
         mask = None if self.outputs is None else self.outputs[keep]
         return Schedule(self.times[keep], mask, **self._details())
 
@@ -302,28 +302,28 @@ class PeriodicSchedule(_Sampled):
 
     def _entries(self) -> Sequence[float]:
         raise CallError(
-            "`schedule` repeats without end and is no list: `schedule.between(start, stop)` lists the samples of a "
+            "`schedule` repeats without end and is no list: `schedule.between(start, end)` lists the samples of a "
             "time span, `schedule.times` those of one period."
         )
 
     def __len__(self) -> int:
         return self.gaps.size
 
-    def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
-        """Return the samples in [start, stop] (never before `first`); `closed` as for `Schedule.between`."""
+    def between(self, start: float, end: float, closed: str = "both") -> Schedule:
+        """Return the samples in [start, end] (never before `first`); `closed` as for `Schedule.between`."""
         cycle, period = self.times, self.period
-        if not np.isfinite(stop):
-            raise ArgumentError(f"`stop` must be finite, got {stop!r}: a periodic schedule has no end.")
+        if not np.isfinite(end):
+            raise ArgumentError(f"`end` must be finite, got {end!r}: a periodic schedule has no end.")
         low = max(0, int(np.floor((max(start, 0.0) - cycle[-1]) / period)) - 1)
-        high = max(low, int(np.ceil((stop - cycle[0]) / period)) + 1)
+        high = max(low, int(np.ceil((end - cycle[0]) / period)) + 1)
         if (high - low + 1) * len(self) > MOST_TIMES:
             size = (high - low + 1.0) * len(self)
             raise ArgumentError(
-                f"`stop` asks for {size:.3g} samples, which take {8 * size / 2**30:.3g} GiB: at most {MOST_TIMES} are "
+                f"`end` asks for {size:.3g} samples, which take {8 * size / 2**30:.3g} GiB: at most {MOST_TIMES} are "
                 "listed at once."
             )
         times = (cycle + period * np.arange(low, high + 1)[:, None]).ravel()
-        keep = _inside(times, start, stop, closed)
+        keep = _inside(times, start, end, closed)
         mask = None if self.outputs is None else np.tile(self.outputs, (high - low + 1, 1))[keep]
         return Schedule(times[keep], mask, **self._details())
 
@@ -360,10 +360,10 @@ class PeriodicSchedule(_Sampled):
         return f"{counted(len(self), 'sample')} every {short(self.period)}{unit}, {gaps}{unit}, without end."
 
 
-def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:
+def _inside(times: Array, start: float, end: float, closed: str) -> Mask:
     checks.word("closed", closed, ("both", "left", "right", "neither"))
     low = times >= start if closed in ("both", "left") else times > start
-    high = times <= stop if closed in ("both", "right") else times < stop
+    high = times <= end if closed in ("both", "right") else times < end
     return np.asarray(low & high)
 
 

@@ -53,7 +53,7 @@ def made(tmp_path_factory):
     wanted = PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors=read)
     write_plant(tank, made / "tank.toml")
     write_plan_requirement(wanted, made / "wanted.toml")
-    plan_samples(tank, wanted, certificate=False, robustness=False, start=False).save(made / "plan.json")
+    plan_samples(tank, wanted, certificate=False, robustness=False, from_start=False).save(made / "plan.json")
     certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv"), eta=0.4, P2=np.eye(2)).save(
         made / "certificate.json"
     )

@@ -39,7 +39,7 @@ def test_what_is_not_proven_within_the_budget_is_not_what_cannot_be_kept(shell, 
         sd.PlanRequirement({"x": 0.52}, period=8, grid=4, w_bound=0.1, sensors={"y1": {"noise_bound": 0.1}}),
     )
     plant = sd.Plant([[0.0]], [[1.0]], states=["x"])
-    found = sd.plan_samples(plant, made, certificate=False, robustness=False, start=False)
+    found = sd.plan_samples(plant, made, certificate=False, robustness=False, from_start=False)
     found.save(tmp_path / "plan.json")
     nothing = replace(sd.next_sample(found, now=1.0), latest=-np.inf, kept_from=np.inf, proven=False, complete=complete)
     monkeypatch.setattr(sd, "next_sample", lambda *_, budget, **__: asked.append(budget) or nothing)
@@ -123,7 +123,7 @@ def small_plan(tmp_path_factory):
     sd.plants.write_plant(plant, folder / "plant.toml")
     terms = {name: {"noise_bound": 0.2} for name in outputs}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms, initial_error=1.5)
-    plan = sd.plan_samples(plant, wanted, search_seconds=2.0, certificate=False, robustness=False, start=False)
+    plan = sd.plan_samples(plant, wanted, search_seconds=2.0, certificate=False, robustness=False, from_start=False)
     rows = "".join(f"{t!r},{math.cos(t)!r},{-math.sin(t)!r}\n" for t in plan.schedule.between(0.1, 14.0).times.tolist())
     (folder / "measured.csv").write_text(f"time,position,speed\n{rows}")
     return plan, plan.save(folder / "plan.json"), folder / "measured.csv"
@@ -228,7 +228,7 @@ def test_estimates_of_a_dated_plan_have_dates_of_its_zone(shell, tmp_path, month
         {"level": 2.0}, period="1 d", grid="6 h", w_bound=0.05, sensors={"lab": {"noise_bound": 0.5}},
         calendar={"start": "2026-03-02", "zone": "Europe/Berlin"},
     )  # fmt: skip
-    plan = sd.plan_samples(plant, wanted, search_seconds=1.0, certificate=False, robustness=False, start=False)
+    plan = sd.plan_samples(plant, wanted, search_seconds=1.0, certificate=False, robustness=False, from_start=False)
     file = plan.save(tmp_path / "plan.json")
     naive, said = tmp_path / "naive.csv", tmp_path / "said.csv"
     offset = "+02:00" if month == "07" else "+01:00"

@@ -14,7 +14,7 @@ def test_a_design_is_written_with_its_calendars(tmp_path):
     design = design_schedule(plant, Requirement(window=4.0, spacing=0.4, samples=3), starts=1, budget=5.0)
     files, notes = write_design(design, tmp_path)
     assert ([path.name for path in files], notes) == (["schedule.csv"], [])
-    files, notes = write_design(design, tmp_path, start="2026-03-02", zone="Europe/Berlin")
+    files, notes = write_design(design, tmp_path, origin="2026-03-02", zone="Europe/Berlin")
     assert [path.name for path in files] == ["schedule.csv", "calendar.csv", "schedule.ics"]
     assert (read_schedule(files[0]).origin, notes) == ("2026-03-02", [])
     with pytest.raises(ArgumentError, match="`design` must be a ScheduleDesign with a schedule"):

@@ -1,9 +1,11 @@
 """The cases of the page on late results, each against the answer that has everything in order."""
 
+import re
+
 import numpy as np
 import pytest
 
-from tests.estimators.pages import check_same, defined_on
+from tests.estimators.pages import DOCS, check_same, defined_on
 from tests.oracles.estimators import discounted_kalman
 
 pytestmark = pytest.mark.long
@@ -18,9 +20,9 @@ def test_late_and_out_of_order_results_give_the_estimate_in_order(said):
     rows = {t: np.full(2, np.nan) for t in sorted({t for t, _ in said["came"]})}
     for t, y in said["came"]:  # what came of one time in parts is one sample
         rows[t] = np.where(np.isnan(y), rows[t], y)
-    check_same(said["after"], said["estimator"]().run(list(rows.items()), centred=False)[-1])
-    check_same(said["last"], said["batch"][-1])
-    assert not np.allclose(said["without"].x, said["after"].x, rtol=1e-6)
+    check_same(said["told"][4], said["estimator"]().run(list(rows.items()), centred=False)[-1])
+    check_same(said["mixed"][-1], said["batch"][-1])
+    assert not np.allclose(said["told"][3].x, said["told"][4].x, rtol=1e-6)
 
 
 def test_a_missing_sample_is_one_that_was_never_planned(said):
@@ -41,3 +43,15 @@ def test_sensors_of_several_rates_may_come_one_after_the_other(said):
 def test_the_plan_of_several_prices_is_the_cheapest(said):
     assert said["plan"].verify()
     assert said["plan"].cost == pytest.approx(said["plan"].bound.cost.value)
+
+
+def test_each_part_takes_ten_lines_with_its_picture():
+    parts = re.split(r"^##+ ", (DOCS / "late_results.md").read_text(), flags=re.MULTILINE)[1:]
+    cells = {
+        part.split("\n")[0]: "".join(re.findall(r"```\{code-cell\} python\n(.*?)```", part, re.DOTALL))
+        for part in parts
+    }
+    lines = {heading: len(re.findall(r"\S.*\n", code)) for heading, code in cells.items()}
+    assert {heading: count for heading, count in lines.items() if count > 10} == {}
+    pictures = {heading for heading, code in cells.items() if ".plot(" in code or "plt.subplots(" in code}
+    assert {*cells} - pictures == {"In the mail"}  # what is due next is a sentence

@@ -89,6 +89,44 @@ def test_every_long_list_of_arguments_has_its_reason():
     assert told == {name: count for name, count in long.items() if count > EXPLAINED}
 
 
+ORDER = (
+    "prior prior_time constraints w_bound v_bound initial_error of timing_tolerance start end rtol rng workers resume "
+    "budget progress"
+)
+"""Arguments that many verbs take by keyword, in the order in which they document them."""
+OTHERWISE = {"stop": "end", "tol": "rtol", "rate": "eta", "seeds": "rng", "n_jobs": "workers", "callback": "progress"}
+"""Names that no verb gives to what has another one elsewhere."""
+
+
+def public_signatures() -> dict[str, list[inspect.Parameter]]:
+    """The parameters of every checked verb, `__init__` and public method."""
+    found = {}
+    for name, thing in public().items():
+        for key, member in vars(thing).items() if inspect.isclass(thing) else [("", thing)]:
+            inner = getattr(member, "__func__", member)
+            if inspect.isfunction(inner) and "checked" in vars(inner):
+                found[f"{name} {key}"] = [*inspect.signature(inner).parameters.values()]
+    return found
+
+
+def test_arguments_that_many_verbs_take_stand_in_one_order_under_one_name():
+    signatures = public_signatures()
+    assert len(signatures) > 150
+    asked = {name: [p.name for p in taken if p.kind is p.KEYWORD_ONLY] for name, taken in signatures.items()}
+    common = {name: [key for key in keys if key in ORDER.split()] for name, keys in asked.items()}
+    assert {name: keys for name, keys in common.items() if keys != sorted(keys, key=ORDER.split().index)} == {}
+    assert {key for keys in common.values() for key in keys} == {*ORDER.split()}
+    named = {(name, p.name) for name, taken in signatures.items() for p in taken}
+    assert {(name, key): OTHERWISE[key] for name, key in named if key in OTHERWISE} == {}
+
+
+def test_a_start_is_a_time_and_a_state_at_it_is_x0():
+    hints = {
+        (name, str(p.annotation)) for name, taken in public_signatures().items() for p in taken if p.name == "start"
+    }
+    assert {hint for _, hint in hints} <= {"float", "float | None", "PeriodicSchedule"}
+
+
 def test_no_signature_is_a_list_of_everything():
     found = []
     for path, node in [(source, node) for source in SOURCES for node in nodes(source)]:

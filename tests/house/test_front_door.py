@@ -71,7 +71,7 @@ def test_an_unknown_name_is_refused():
     ("typed", "meant"),
     [
         ("desing_schedule", "design_schedule"),
-        ("plant", "plants"),
+        ("plant", "Plant"),
         ("MovingHorizonEstimater", "MovingHorizonEstimator"),
         ("plan", "plan_samples"),
         ("simulate", "simulate_record"),

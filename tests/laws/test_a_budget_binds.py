@@ -97,7 +97,7 @@ def planned():
     plant = sd.Plant([[0.0]], [[1.0]], time_unit="s", states=["level"], outputs=["y"])
     terms = {"y": {"noise_bound": 0.1}}
     wanted = sd.PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors=terms)
-    return sd.plan_samples(plant, wanted, search_seconds=0.1, certificate=False, robustness=False, start=False)
+    return sd.plan_samples(plant, wanted, search_seconds=0.1, certificate=False, robustness=False, from_start=False)
 
 
 VERBS = {

@@ -45,6 +45,6 @@ def test_plans_of_other_states_are_not_compared(week):
     plant = sd.Plant([[0.0]], [[1.0]], states=["level"])
     terms = {"y1": {"noise_bound": 0.1}}
     wanted = sd.PlanRequirement({"level": 0.9}, period=8.0, grid=4.0, w_bound=0.1, sensors=terms)
-    other = sd.plan_samples(plant, wanted, certificate=False, robustness=False, start=False)
+    other = sd.plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
     with pytest.raises(ArgumentError, match="must be a plan for the same states with at least one goal in common"):
         week.compare(other)

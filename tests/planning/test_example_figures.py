@@ -28,7 +28,7 @@ def test_the_passes_of_a_satellite_cost_as_little_as_can_be_and_say_what_they_be
 @pytest.mark.parametrize("name", few(["cart_pendulum", "satellite"], 0))
 def test_four_samples_with_every_sensor_are_as_good_as_the_best_within_a_hundredth(name):
     found = sd.plan_samples(
-        *plan_gaps.posed(name, 4), search_seconds=6.0, certificate=False, robustness=False, start=False
+        *plan_gaps.posed(name, 4), search_seconds=6.0, certificate=False, robustness=False, from_start=False
     )
     assert found.gap <= 0.01
     assert found.verify()
@@ -38,7 +38,7 @@ def test_four_samples_with_every_sensor_are_as_good_as_the_best_within_a_hundred
 @pytest.mark.parametrize("samples", [2, 3, 4])
 def test_few_samples_of_three_compartments_are_as_good_as_the_best_within_a_hundredth(samples):
     found = sd.plan_samples(
-        *plan_gaps.posed("three_compartment", samples), certificate=False, robustness=False, start=False
+        *plan_gaps.posed("three_compartment", samples), certificate=False, robustness=False, from_start=False
     )
     assert found.gap <= 0.01
     assert found.verify()

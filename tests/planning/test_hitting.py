@@ -229,7 +229,7 @@ def test_samples_are_whole_only_where_more_sensors_cost_nothing_and_break_nothin
 
 def test_the_most_accurate_plan_reads_every_sensor_that_costs_nothing():
     found = plan_samples(
-        TWO, posed(3).requirement, search_seconds=2.0, certificate=False, robustness=False, start=False
+        TWO, posed(3).requirement, search_seconds=2.0, certificate=False, robustness=False, from_start=False
     )
     assert found.schedule.outputs is None or np.all(found.schedule.outputs)
     assert found.gap <= 0.02

@@ -26,7 +26,7 @@ WANTED = sd.PlanRequirement(
 
 def made(seconds=1.0, **changes):
     wanted = WANTED.replace(**changes)
-    return sd.plan_samples(PLANT, wanted, search_seconds=seconds, certificate=False, robustness=False, start=False)
+    return sd.plan_samples(PLANT, wanted, search_seconds=seconds, certificate=False, robustness=False, from_start=False)
 
 
 @pytest.fixture(scope="module")

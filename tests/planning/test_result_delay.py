@@ -64,12 +64,14 @@ def test_what_is_out_for_many_periods_is_judged_to_the_end(delay):
 
 
 def test_the_cheapest_plan_and_its_bound_count_with_the_delay():
-    found = sd.plan_samples(WALK, wanted(0.46), search_seconds=4.0, certificate=False, robustness=False, start=False)
+    found = sd.plan_samples(
+        WALK, wanted(0.46), search_seconds=4.0, certificate=False, robustness=False, from_start=False
+    )
     assert found.keeps
     assert found.verify()
     assert found.bound.cost.value == pytest.approx(found.cost)
     at_once = sd.plan_samples(
-        WALK, wanted(0.46, None), search_seconds=4.0, certificate=False, robustness=False, start=False
+        WALK, wanted(0.46, None), search_seconds=4.0, certificate=False, robustness=False, from_start=False
     )
     assert at_once.cost == 1.0 < found.cost
 

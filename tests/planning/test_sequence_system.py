@@ -82,7 +82,7 @@ def slow():
         w_bound=[0.002, 0.001],
         sensors={"y1": {"noise_bound": 1.0, "price": 1.0}},
     )
-    return sd.plan_samples(plant, wanted, certificate=False, robustness=False, start=False)
+    return sd.plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
 
 
 @pytest.mark.long

@@ -171,7 +171,9 @@ def test_both_kinds_are_planned_together():
         w_bound=0.02,
         **{**ONE, "sensors": {"y": {"noise_bound": 0.4, "noise_deviation": 0.2}}},
     )
-    both = sd.plan_samples(OSCILLATOR, wanted, certificate=False, robustness=False, start=False, search_seconds=0.3)
+    both = sd.plan_samples(
+        OSCILLATOR, wanted, certificate=False, robustness=False, from_start=False, search_seconds=0.3
+    )
     assert both.keeps
     assert both.verify()
     assert both.accuracy is not None

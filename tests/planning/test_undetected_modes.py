@@ -28,7 +28,7 @@ def wanted(tolerance=2.5, w_bound=(0.01, 0.0, 0.0), **more):
 
 def bare(requirement, **more):
     return plan_samples(
-        LEVEL_AND_RHYTHM, requirement, search_seconds=0.1, certificate=False, robustness=False, start=False, **more
+        LEVEL_AND_RHYTHM, requirement, search_seconds=0.1, certificate=False, robustness=False, from_start=False, **more
     )
 
 
@@ -64,17 +64,19 @@ def test_a_grid_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it(
     with pytest.raises(
         InfeasibleRequirementError, match=r"the mode 0\+1i never decays.*grid hides it: one of 1.57\d* s"
     ):
-        plan_samples(swing, asked, certificate=False, robustness=False, start=False)
-    assert plan_samples(swing, asked.replace(grid=np.pi / 2), certificate=False, robustness=False, start=False).keeps
+        plan_samples(swing, asked, certificate=False, robustness=False, from_start=False)
+    assert plan_samples(
+        swing, asked.replace(grid=np.pi / 2), certificate=False, robustness=False, from_start=False
+    ).keeps
 
 
 def test_an_output_that_no_mode_reaches_is_not_the_grids_fault():
     blind = Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], states=["seen", "unseen"], outputs=["y"])
     asked = PlanRequirement({"unseen": 1.0}, period=4.0, grid=1.0, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}})
     with pytest.raises(InfeasibleRequirementError, match="No sensor ever shows 0, on which unseen depends"):
-        plan_samples(blind, asked, certificate=False, robustness=False, start=False)
+        plan_samples(blind, asked, certificate=False, robustness=False, from_start=False)
     found = plan_samples(
-        blind, asked.replace(accuracy={"seen": 0.14}), certificate=False, robustness=False, start=False
+        blind, asked.replace(accuracy={"seen": 0.14}), certificate=False, robustness=False, from_start=False
     )  # of no account
     assert found.keeps
     assert found.verify()
@@ -93,14 +95,18 @@ def test_hours_that_miss_a_motion_at_every_grid_are_said():
 def test_a_mode_that_grows_beyond_all_numbers_in_a_period_is_planned_for():
     asked = PlanRequirement({"x1": 500.0}, period=84.0, grid=4.0, w_bound=0.01, sensors={"y1": {"noise_bound": 1e-6}})
     found = plan_samples(
-        Plant([[5.0]], [[1.0]]), asked.replace(accuracy={"x1": 1e7}), certificate=False, robustness=False, start=False
+        Plant([[5.0]], [[1.0]]),
+        asked.replace(accuracy={"x1": 1e7}),
+        certificate=False,
+        robustness=False,
+        from_start=False,
     )
     assert found.samples == 21  # e^20 from one look to the next, e^420 in the period
     assert found.keeps
     with pytest.raises(
         InfeasibleRequirementError, match="Not even measuring at every allowed time keeps the tolerances"
     ):
-        plan_samples(Plant([[5.0]], [[1.0]]), asked, certificate=False, robustness=False, start=False)
+        plan_samples(Plant([[5.0]], [[1.0]]), asked, certificate=False, robustness=False, from_start=False)
 
 
 def test_a_mode_that_outgrows_a_step_of_the_grid_is_said_at_once():
@@ -150,7 +156,7 @@ def test_no_sensor_is_paid_for_what_no_goal_asks():
     ).augmented(bias=["gauge"], drift={"gauge_bias": 0.001})
     sensors = {"gauge": {"price": 1.0, "noise_bound": 0.02}, "survey": {"price": 20.0, "noise_bound": 0.02}}
     wanted = PlanRequirement({"tide": 0.4}, period=12.0, grid="2 h", w_bound=0.01, sensors=sensors)
-    found = plan_samples(gauge, wanted, robustness=False, certificate=False, start=False)
+    found = plan_samples(gauge, wanted, robustness=False, certificate=False, from_start=False)
     assert (found.cost, found.schedule.outputs[:, 1].any(), found.status) == (3.0, False, "complete")
 
 

@@ -90,6 +90,11 @@ REFUSED = [
     ),
     (checks.known_keys, ("x", ["a"], ["A", "C"]), "unknown key 'a' in x. Did you mean 'A'"),
     (checks.known_keys, ("x", ["price"], ["available", "cost"]), "'price' in x. Known: 'available', 'cost'[.]$"),
+    (checks.known_keys, ("x", ["dt"], ["A", "D"]), "unknown key 'dt' in x. Known: 'A', 'D'[.]$"),
+    (checks.known_keys, ("x", ["raster"], ["format"]), "unknown key 'raster' in x. Known: 'format'[.]$"),
+    (checks.known_keys, ("x", ["seconds"], ["sensors"]), "unknown key 'seconds' in x. Known: 'sensors'[.]$"),
+    (checks.known_keys, ("x", ["noise"], ["noise_bound"]), "unknown key 'noise' in x. Did you mean 'noise_bound'"),
+    (checks.known_keys, ("x", ["hours"], ["price", "calendar"]), "unknown key 'hours' in x. Did you mean 'calendar'"),
     (checks.known_keys, ("x", ["no"], [f"y{i}" for i in range(20)]), "Known: 'y0', .*, 'y11' and 8 more[.]$"),
     (
         checks.output_mask,

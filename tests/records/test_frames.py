@@ -203,6 +203,8 @@ def test_an_entry_that_is_asked_for_by_name_is_told_where_it_stands():
     states = sd.named_plant("oscillator").states
     with pytest.raises(CallError, match=r"got str 'velocity'. It is entry 1: names.index\('velocity'\).$"):
         states["velocity"]
+    with pytest.raises(CallError, match=r"got str 'velocty'. Did you mean 'velocity'\?$"):
+        states["velocty"]
     table = MAKERS["AccuracyByCount"]()
     column = next(iter(table._columns()))
     with pytest.raises(CallError, match=rf"A row has it: \[0\]\['{column}'\]; all rows: to_frame\(\).$"):

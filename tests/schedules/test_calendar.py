@@ -146,9 +146,9 @@ def test_the_same_schedule_gives_the_same_octets(tmp_path):
 def test_bad_input(tmp_path):
     with pytest.raises(ArgumentError, match="`schedule` must have a time unit to become dates"):
         calendar(Schedule([1.0]), "2026-01-05")
-    with pytest.raises(ArgumentError, match="`start` is missing and the schedule has no origin"):
+    with pytest.raises(ArgumentError, match="`origin` is missing, and the schedule has none"):
         calendar(Schedule([1.0], time_unit="h"))
-    with pytest.raises(ArgumentError, match="`start` must be a date like 2026-01-05T08:00"):
+    with pytest.raises(ArgumentError, match="`origin` must be a date like 2026-01-05T08:00"):
         calendar(DAY, "next week")
     with pytest.raises(ArgumentError, match="`span` must be positive"):
         calendar(DAY, span=0.0)

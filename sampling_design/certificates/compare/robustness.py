@@ -271,9 +271,9 @@ def robustness(
     horizon: float | None = None,
     longest: int = 8,
     families: Sequence[SamplingFamily] = (),
+    of: Wanted = None,
     budget: float = 60.0,
     progress: Progress | None = None,
-    of: Wanted = None,
 ) -> Robustness:
     """Return the largest timing error and the most losses under which a certificate survives.
 
@@ -291,12 +291,12 @@ def robustness(
         Losses are counted among at most this many consecutive samples.
     families : sequence of SamplingFamily
         Others, of any kind, on whose schedules the certificate might survive; each is answered as it stands.
+    of : str, sequence of str, or (k, n) array, optional
+        The rows of the state that the certificate is about; a design is certified for them. Default: all states.
     budget : float [seconds]
         The searches stop there; `closed` says so.
     progress : callable, optional
         Called with (fraction, message).
-    of : str, sequence of str, or (k, n) array, optional
-        The rows of the state that the certificate is about; a design is certified for them. Default: all states.
 
     Returns
     -------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
 from itertools import chain, islice
@@ -11,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from sampling_design.accuracy.readings import CensoredReading, at_some_time, time_or_span
+from sampling_design.checkers.strict import nearest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
@@ -360,10 +360,8 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
     missing = [name for name in wanted if name not in header]
     if missing:
         free = [name for name in header if name and name not in (*stamps, *wanted)]
-        near = [name for name in free if name.lower().startswith(missing[0].lower())]
-        near = near or [name for name in free if missing[0].lower().startswith(name.lower())]
-        near = near or difflib.get_close_matches(missing[0], free, 1)
-        slip = f" Is it {near[0]!r}? Names stand as in the plant, without units." if near else ""
+        near = nearest(missing[0], free)
+        slip = f" Is it {near!r}? Names stand as in the plant, without units." if near else ""
         text = f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.{slip}"
         raise FileFormatError(text, where)
     twice = [name for i, name in enumerate(header) if name in header[:i]]

@@ -190,15 +190,15 @@ class Measurements(ListRecord[MeasuredRow]):
         moved = self.shifted(passed(there, here).total_seconds() / SECONDS[self.plant.time_unit])
         return replace(moved, origin=zoned_text(there))
 
-    def between(self, start: float, stop: float) -> Measurements:
-        """Return the rows from `start` to `stop`, both included; the first one says which inputs hold.
+    def between(self, start: float, end: float) -> Measurements:
+        """Return the rows from `start` to `end`, both included; the first one says which inputs hold.
 
         What tells of a time outside, a mean that began before `start` or a reading that may lie outside, is left out.
         """
-        start, stop = checks.number("start", start), checks.number("stop", stop)
+        start, end = checks.number("start", start), checks.number("end", end)
         ordered = self.in_order()
-        within = np.flatnonzero((ordered.times >= start) & (ordered.times <= stop))
-        censored = tuple(tuple(each for each in ordered.censored[k] if each.within(start, stop)) for k in within)
+        within = np.flatnonzero((ordered.times >= start) & (ordered.times <= end))
+        censored = tuple(tuple(each for each in ordered.censored[k] if each.within(start, end)) for k in within)
         u = held_on(ordered.u)[within]
         says = np.isfinite(ordered.y[within]).any(axis=1) | np.isfinite(ordered.u[within]).any(axis=1)
         says |= np.array([bool(row) for row in censored], dtype=bool)

@@ -166,7 +166,7 @@ def _times_and_mask(
     match times:
         case PeriodicSchedule():
             raise ArgumentError(
-                "`times` must be finitely many, got a PeriodicSchedule. Use schedule.between(start, stop), "
+                "`times` must be finitely many, got a PeriodicSchedule. Use schedule.between(start, end), "
                 "or window_sigma for all windows at once."
             )
         case Schedule():

@@ -45,14 +45,14 @@ class WindowProfile:
     """Sigma over the window's end, for pictures: one curve per piece, with a jump between two pieces.
 
     `t`, `sigma` and `piece` hold the points, ordered; the ends of a piece are one-sided limits.
-    `start`, `stop` and `lower` hold for each piece its interval of window ends and its proven bound.
+    `start`, `end` and `lower` hold for each piece its interval of window ends and its proven bound.
     """
 
     t: Array
     sigma: Array
     piece: Integers
     start: Array
-    stop: Array
+    end: Array
     lower: Array
 
 
@@ -142,7 +142,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
             "piece_of": Variable(("point",), profile.piece),
             "piece": Variable(("piece",), np.unique(profile.piece)),
             "start": Variable(("piece",), profile.start, time),
-            "stop": Variable(("piece",), profile.stop, time),
+            "end": Variable(("piece",), profile.end, time),
             "proven": Variable(("piece",), profile.lower),
         }
 

@@ -126,12 +126,13 @@ def window_sigma(
     schedule: Schedule | PeriodicSchedule,
     window: float,
     rtol: float | None = None,
+    *,
+    of: Wanted = None,
+    timing_tolerance: Timing = 0.0,
+    start: float | None = None,
+    rigorous: bool = False,
     budget: float | None = None,
     progress: Progress | None = None,
-    rigorous: bool = False,
-    start: float | None = None,
-    timing_tolerance: Timing = 0.0,
-    of: Wanted = None,
 ) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
 
@@ -149,26 +150,26 @@ def window_sigma(
         Length T > 0.
     rtol : float
         The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.001, over a box or in varying time 0.01.
-    budget : float, optional [seconds]
-        When it runs out, the bounds so far are returned with closed = False; so they are after an interrupt (Ctrl-C).
-    progress : callable, optional
-        Called with the fraction done and a message.
-    rigorous : bool
-        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
-        for that proof too. Growth within the window hides nothing from balls: e^200 is no obstacle. Over a box every
-        cell is proven so (growth that hides sigma from doubles hides it there).
-    start : float, optional [plant.time_unit]
-        Where the first window begins. Of a finite schedule such as 0, where the plan counts from there and not from its
-        first sample; of an endless one whose `first` comes late such as `first`, to judge its rhythm alone.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
+        least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
+        Default: all states.
     timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
         How early or late each sample may be, together less than the least gap: the least sigma over all such real times
         too. A window that just holds a sample may lose it then; in windows of T + early + late, which hold all samples
         planned in T, sigma falls to that of T continuously. By output: those of one sample may fall apart, each within
         its own; a window counts with a sample only where it is sure of all its outputs. Of exactly known plants.
-    of : str, sequence of str, or (k, n) array, optional
-        Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
-        least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
-        Default: all states.
+    start : float, optional [plant.time_unit]
+        Where the first window begins. Of a finite schedule such as 0, where the plan counts from there and not from its
+        first sample; of an endless one whose `first` comes late such as `first`, to judge its rhythm alone.
+    rigorous : bool
+        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
+        for that proof too. Growth within the window hides nothing from balls: e^200 is no obstacle. Over a box every
+        cell is proven so (growth that hides sigma from doubles hides it there).
+    budget : float, optional [seconds]
+        When it runs out, the bounds so far are returned with closed = False; so they are after an interrupt (Ctrl-C).
+    progress : callable, optional
+        Called with the fraction done and a message.
 
     Returns
     -------

@@ -204,12 +204,13 @@ def worst_case_sigma(
     plant: Plant,
     family: SpacedWindows,
     rtol: float | None = None,
-    budget: float | None = 60.0,
-    rng: Seed = None,
-    progress: Progress | None = None,
-    rigorous: bool = False,
+    *,
     of: Wanted = None,
     timing_tolerance: Timing = 0.0,
+    rng: Seed = None,
+    rigorous: bool = False,
+    budget: float | None = 60.0,
+    progress: Progress | None = None,
 ) -> WorstCaseSigma:
     """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
 
@@ -224,16 +225,6 @@ def worst_case_sigma(
         exactly k are looked at.
     rtol : float
         The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.01, over a box 0.1.
-    budget : float, optional [seconds]
-        When it runs out, the bounds so far are returned with closed = False; so they are after an interrupt (Ctrl-C) of
-        the proof. None: no limit.
-    rng : numpy.random.Generator or its seed, optional
-        Draws the starts of the search for the attained bound; the proof draws nothing. Default: seed 0.
-    progress : callable, optional
-        Called with the share of directions or times that is settled, and a message.
-    rigorous : bool
-        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; the budget then
-        holds for that proof once more.
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
         least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
@@ -242,6 +233,16 @@ def worst_case_sigma(
         How early or late each planned sample may be: at any time in [t - early, t + late] of a planned t; by output,
         each at a time of its own. `family` is the rule of planned times, windows are early and late together longer,
         and `upper` is attained at times that are allowed, `readings`.
+    rng : numpy.random.Generator or its seed, optional
+        Draws the starts of the search for the attained bound; the proof draws nothing. Default: seed 0.
+    rigorous : bool
+        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; the budget then
+        holds for that proof once more.
+    budget : float, optional [seconds]
+        When it runs out, the bounds so far are returned with closed = False; so they are after an interrupt (Ctrl-C) of
+        the proof. None: no limit.
+    progress : callable, optional
+        Called with the share of directions or times that is settled, and a message.
 
     Returns
     -------

@@ -158,7 +158,7 @@ def worst_case_over_box(
     def one(member: Plant, fine: float, left: float) -> WorstCaseSigma:
         limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
         own = replace(late, names=member.outputs.names if late.apart else ()).plain
-        found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit, timing_tolerance=own)
+        found = worst_case_sigma(member, replace(family, time_unit=None), fine, budget=limit, timing_tolerance=own)
         if found.status == "interrupted":  # of one plant: the others are not looked at
             clock.stop()
         return found
@@ -185,7 +185,7 @@ def worst_case_over_box(
 def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
     rule = replace(family, time_unit=None)
-    if worst_case_sigma(plant.nominal, rule, rtol, seconds, timing_tolerance=late.plain).lower == 0:
+    if worst_case_sigma(plant.nominal, rule, rtol, budget=seconds, timing_tolerance=late.plain).lower == 0:
         return 0.0  # a box about a zero is cut for as long as it may be
     return worst_case_over_box(plant, family, rtol, seconds, timing_tolerance=late.plain).lower
 

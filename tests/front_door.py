@@ -249,7 +249,7 @@ def special() -> dict[str, dict[str, Any]]:
         "schedule_from_dict": {"data": t["schedule"].to_dict()},
         "requirement_from_dict": {"data": t["requirement"].to_dict()},
         "write_estimates": {"record": t["estimates"]},
-        "check_detectability": {"plant": t["nonlinear"], "start": ([-1.0, -1.0], [1.0, 1.0]), "duration": 2.0},
+        "check_detectability": {"plant": t["nonlinear"], "x0": ([-1.0, -1.0], [1.0, 1.0]), "duration": 2.0},
         "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0, "cost": cost},
         "calendar": {"start": "2026-01-01", "schedule": t["schedule"]},
         "write_calendar_csv": {"start": "2026-01-01"},

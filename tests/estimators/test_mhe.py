@@ -18,6 +18,7 @@ from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from tests.cases import few
@@ -171,6 +172,16 @@ def test_data_that_contradict_the_bounds_are_called_so():
     after = mhe.update(2.0, [0.0])
     assert not after.certified
     assert "contradict" in after.note
+
+
+def test_a_contradiction_of_a_dated_record_is_told_by_its_date():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, w_bound=1e-3, v_bound=1e-3, initial_error=1e-3)
+    plain = Measurements(PLANT, [60.0], [[5.0]])
+    dated = replace(plain, origin="2026-03-02T08:00:00+01:00")
+    for record, when in ((plain, "t = 60"), (dated, "2026-03-02 08:01+01:00")):
+        found = mhe.run(record)
+        assert f"The data contradict the bounds: sample 1 at {when}, output" in found.explain()
+        assert f"sample 1 at {when}, output" in str(found)
 
 
 def test_exact_data_without_noise_do_not_disprove_zero_bounds():

@@ -10,7 +10,7 @@ from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import coarser, lifted_trajectories
 from tests.cases import few
 
-BARE = {"certificate": False, "robustness": False, "start": False}
+BARE = {"certificate": False, "robustness": False, "from_start": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 GIVEN = {"period": 6.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
 HOURS = {"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Fri": [["08:00", "12:00"], ["14:00", "16:00"]]}}

@@ -14,7 +14,7 @@ from sampling_design.records.budget import Budget
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 GIVEN = {"period": 6.4, "grid": 0.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
 WANTED = sd.PlanRequirement({"position": 0.33, "velocity": 0.36}, **GIVEN)
-BARE = {"certificate": False, "robustness": False, "start": False}
+BARE = {"certificate": False, "robustness": False, "from_start": False}
 
 
 def posed():

@@ -24,7 +24,7 @@ from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from tests.oracles import planning as oracle
 
-BARE = {"certificate": False, "robustness": False, "start": False}
+BARE = {"certificate": False, "robustness": False, "from_start": False}
 DECISIONS = 3
 CALENDAR = {
     "start": "2026-03-23",

@@ -115,7 +115,7 @@ def test_bad_arguments_are_refused():
     plant = from_linear(OSCILLATOR)
     with pytest.raises(ArgumentError, match="`cost` must give a rate here"):
         check_detectability(plant, SCHEDULE, BOX, cost=CostFunction(), duration=1.0)
-    with pytest.raises(ArgumentError, match=r"`start` must be a finite box \(lower, upper\)"):
+    with pytest.raises(ArgumentError, match=r"`x0` must be a finite box \(lower, upper\)"):
         check_detectability(plant, SCHEDULE, cost=CostFunction(eta=0.1), duration=1.0)
     with pytest.raises(ArgumentError, match="`pairs` must be a whole number of at least 1"):
         check_detectability(plant, SCHEDULE, BOX, cost=CostFunction(eta=0.1), duration=1.0, pairs=0)
@@ -144,7 +144,7 @@ def test_a_mask_that_hides_an_output_gives_another_verdict():
     plant = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [x[0] + v[0], v[1]],
                            {"states": 1, "disturbances": 1, "outputs": 2})  # fmt: skip
     cost = CostFunction(P2=[[1.0]], R=100 * np.eye(2), Qv=100 * np.eye(2), eta=0.2)
-    given = {"start": ([-1.0], [1.0]), "duration": 3.0, "pairs": 6, "cost": cost, "P1": [[0.1]]}
+    given = {"x0": ([-1.0], [1.0]), "duration": 3.0, "pairs": 6, "cost": cost, "P1": [[0.1]]}
     hidden = check_detectability(plant, PeriodicSchedule([0.5], outputs=[[0, 1]]), **given)
     assert check_detectability(plant, PeriodicSchedule([0.5]), **given).holds
     assert not hidden.holds

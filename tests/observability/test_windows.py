@@ -81,10 +81,10 @@ def test_dip_narrower_than_the_first_grid():
     profile = result.profile
     grid = [
         sigma_of_window(plant.A, plant.C, times, None, left + part * (right - left), 4.0)
-        for left, right in zip(profile.start, profile.stop, strict=True)
+        for left, right in zip(profile.start, profile.end, strict=True)
         for part in (0.25, 0.5, 0.75)
     ]
-    ends = profile.start[0], profile.stop[-1]
+    ends = profile.start[0], profile.end[-1]
     least, *_ = scan_windows(plant.A, plant.C, times, None, 4.0, *ends, 1500)
     assert result.closed
     assert result.lower <= least * (1 + 1e-9)
@@ -99,7 +99,7 @@ def test_partial_outputs():
     schedule = PeriodicSchedule([0.3, 0.5, 0.4, 0.6, 0.2], outputs=mask)
     result = window_sigma(plant, schedule, 1.9)
     held = schedule.between(0, 12)
-    low, high = result.profile.start[0], result.profile.stop[-1]
+    low, high = result.profile.start[0], result.profile.end[-1]
     least, *_ = scan_windows(plant.A, plant.C, held.times, held.outputs, 1.9, low, high, 200)
     assert 0.99 * result.upper <= result.lower <= least * (1 + 1e-12)
     assert result.upper <= 1.005 * least
@@ -144,7 +144,7 @@ def test_finite_schedule_starts_with_its_first_full_window():
     result = window_sigma(OSCILLATOR, Schedule([3.0, 3.5, 4.0]), 1.0)
     assert result.witness.samples.size == 3
     assert result.upper > 0.5
-    assert (result.profile.start[0], result.profile.stop[-1]) == (4.0, 4.0)
+    assert (result.profile.start[0], result.profile.end[-1]) == (4.0, 4.0)
     counted = window_sigma(OSCILLATOR, Schedule([3.0, 3.5, 4.0]), 1.0, start=0.0)
     assert (counted.upper, counted.witness.samples.size) == (0.0, 0)
     assert counted.profile.start[0] == 1.0
@@ -174,7 +174,7 @@ def test_satellite_in_si_units_closes():
     result = window_sigma(plant, schedule, 5554.0)
     assert result.closed
     held = schedule.between(0, 3 * 5554.0)
-    ends = np.sort(np.random.default_rng(1).uniform(result.profile.start[0], result.profile.stop[-1], 150))
+    ends = np.sort(np.random.default_rng(1).uniform(result.profile.start[0], result.profile.end[-1], 150))
     least = min(sigma_of_window(plant.A, plant.C, held.times, held.outputs, t, 5554.0) for t in ends)
     assert result.lower <= least
 
@@ -239,7 +239,7 @@ def test_profile_is_a_curve_above_its_own_bounds():
     for g in range(profile.start.size):
         here = profile.piece == g
         assert profile.t[here][0] == pytest.approx(profile.start[g])
-        assert profile.t[here][-1] == pytest.approx(profile.stop[g])
+        assert profile.t[here][-1] == pytest.approx(profile.end[g])
         assert np.all(np.diff(profile.t[here]) >= 0)
         assert np.all(profile.sigma[here] >= profile.lower[g])
     assert profile.sigma.min() == pytest.approx(result.upper, rel=1e-9)

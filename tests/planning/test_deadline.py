@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 
-BARE = {"certificate": False, "robustness": False, "start": False}
+BARE = {"certificate": False, "robustness": False, "from_start": False}
 STEP, TOLERANCE, DRIFT, NOISE = 1.0, {"tank": 0.72, "well": 0.43}, {"tank": 0.1, "well": 0.05}, 0.1
 LEVELS = sd.Plant(np.zeros((2, 2)), np.eye(2), time_unit="h", states=list(TOLERANCE), outputs=["float", "rule"])
 SENSOR = {"tank": "float", "well": "rule"}

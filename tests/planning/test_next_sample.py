@@ -18,7 +18,7 @@ from sampling_design.planning.sequence_system import plan_system
 from tests.cases import few
 from tests.counted_clock import Counted
 
-BARE = {"certificate": False, "robustness": False, "start": False}
+BARE = {"certificate": False, "robustness": False, "from_start": False}
 
 
 def deviating(plan, times, seen, resume):

@@ -18,7 +18,7 @@ from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles import planning as oracle
 
-BARE = {"certificate": False, "robustness": False, "start": False}
+BARE = {"certificate": False, "robustness": False, "from_start": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 GIVEN = {"period": 6.4, "grid": 0.2, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
 

@@ -212,7 +212,7 @@ APART = {"fix": 0.1, "speed": 0.01}
 
 def by_output(late, start=False):
     wanted = BOTH.replace(timing_tolerance=late)
-    return sd.plan_samples(TWO, wanted, search_seconds=1.0, certificate=False, robustness=False, start=start)
+    return sd.plan_samples(TWO, wanted, search_seconds=1.0, certificate=False, robustness=False, from_start=start)
 
 
 @pytest.fixture(scope="module")

@@ -215,7 +215,7 @@ def test_an_entry_that_is_asked_for_by_name_is_told_where_it_stands():
 def test_a_schedule_without_end_is_no_list():
     schedule = MAKERS["PeriodicSchedule"]()
     for ask in (list, lambda each: each[0], lambda each: each[:2]):
-        with pytest.raises(CallError, match=r"repeats without end.*`schedule.between\(start, stop\)` lists"):
+        with pytest.raises(CallError, match=r"repeats without end.*`schedule.between\(start, end\)` lists"):
             ask(schedule)
     assert list(schedule.between(0.0, 7.0)) == [1.0, 3.0, 4.0, 6.0, 7.0]
     assert len(schedule) == 2

@@ -64,7 +64,11 @@ class Contradiction(NamedTuple):
         return {**self._asdict(), "factor": plain(self.factor)}
 
     def __str__(self) -> str:
-        sample = f"sample {self.number} at t = {self.t:.10g}, output {self.output}"
+        return self.at(f"t = {self.t:.10g}")
+
+    def at(self, when: str) -> str:
+        """Say it of a sample whose time or date is called so."""
+        sample = f"sample {self.number} at {when}, output {self.output}"
         if self.alone:
             return f"{sample}: its v_bound would have to be {self.factor:.3g} times as large"
         return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"

@@ -69,6 +69,12 @@ class EstimateCounts:
         many = f"the radii of {self.certified} of {self.count}, where the bounds hold"
         return f"proven: {many}" if self.certified else "nothing is proven"
 
+    def _contradicted(self) -> list[str]:
+        """What contradicts the bounds, by its date where the record has dates."""
+        if not self.origin:
+            return [str(each) for each in self.contradictions]
+        return [each.at(time_or_date(self.origin, each.t, self.time_unit)) for each in self.contradictions]
+
     def rows(self) -> list[tuple[str, str]]:
         """Rows of a table."""
         return [
@@ -76,15 +82,15 @@ class EstimateCounts:
             ("evidence", self.evidence),
             ("status", ", ".join(f"{k}: {v}" for k, v in self.status.items()) or "-"),
             *([] if self.moved else [("on schedule", f"{self.on_schedule} of {self.count}")]),
-            *(("contradiction", str(each)) for each in self.contradictions),
+            *(("contradiction", said) for said in self._contradicted()),
         ]
 
     def explain(self) -> str:
         """Say how many estimates there are and what they promise."""
         failed = sum(count for status, count in self.status.items() if status in FAILURES)
         trouble = f" {failed} failed; their notes say why." if failed else ""
-        for each in self.contradictions:
-            trouble += f" The data contradict the bounds: {each}."
+        for said in self._contradicted():
+            trouble += f" The data contradict the bounds: {said}."
         where = ", each in the middle of what data and bounds allow" * self.moved
         return f"{counted(self.count, 'estimate')}{where}, {self.certified} of them with a proven radius.{trouble}"
 

@@ -10,13 +10,8 @@ import typer
 from sampling_design.cli.settings import Settings, record_table
 from sampling_design.records.file_io import write_text
 
-
-class NoiseInterpretation(StrEnum):
-    """How the paper's w is read."""
-
-    per_second = "per_second"
-    per_day = "per_day"
-    per_day_slow = "per_day_slow"
+NoiseInterpretation = StrEnum("NoiseInterpretation", ["per_second", "per_day", "per_day_slow"])
+"""How the paper's w is read."""
 
 
 def thyroid(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_list, is_table
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear.functions import KeptFunction, casadi, takes_time
+from sampling_design.nonlinear.functions import casadi, takes_time
 from sampling_design.nonlinear.region import StateRegion, own_box
 from sampling_design.plants.plant import Plant, Signals, signals_of
 from sampling_design.records import checks
@@ -178,8 +178,8 @@ class PlantEquations(Record):
     def __getstate__(self) -> dict[str, object]:
         """The plant as data: functions as casadi's own, which can be pickled."""
         kept = {key: value for key, value in self.__dict__.items() if key in self.__dataclass_fields__}
-        kept["dynamics"] = KeptFunction(self.rate_casadi, self.varies)
-        kept["measurement"] = KeptFunction(self.output_casadi, self.varies)
+        kept["dynamics"] = self.rate_casadi if self.varies else self.f_casadi
+        kept["measurement"] = self.output_casadi if self.varies else self.h_casadi
         kept["limits"] = None if self.limits is None else self.limits_casadi
         return kept
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, TypeAlias
@@ -15,7 +14,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
-    from casadi import SX, Function
+    from casadi import SX
 
 
 def casadi() -> ModuleType:
@@ -29,23 +28,10 @@ def casadi() -> ModuleType:
 Equation: TypeAlias = "Callable[[SX, SX, SX], SX]"
 
 
-@dataclass(frozen=True)
-class KeptFunction:
-    """A casadi Function of (x, u, z, t), called like the function that a user wrote: with the time if it matters."""
-
-    function: Function
-    timed: bool
-
-    def __call__(self, x: SX, u: SX, z: SX, t: SX | float = 0.0) -> SX:
-        found: SX = self.function(x, u, z, t)
-        return found
-
-
 def takes_time(function: object) -> bool:
-    """Whether a function of a user has a fourth argument without a default: the time."""
-    match function:
-        case KeptFunction(timed=timed):
-            return timed
+    """Whether a function of a user, or casadi's own, has a fourth argument without a default: the time."""
+    if (count := getattr(function, "n_in", None)) is not None:
+        return bool(count() == 4)
     try:
         parameters = inspect.signature(function).parameters.values()  # type: ignore[arg-type]
     except (TypeError, ValueError):

@@ -40,7 +40,7 @@ WARM_DISTANCE = 1e-9  # how far a warm start is moved off its bounds: next to no
 APPROXIMATE_MINIMUM_DEGREE = 0
 """How IPOPT's linear solver orders a window: its own choice takes a sixth longer over a solve."""
 
-WARM_BARRIER = 1e-6  # BarrierTerms parameter of a warm start: well below the cost of a sample, well above the tolerance
+WARM_BARRIER = 1e-6  # barrier parameter of a warm start: well below the cost of a sample, well above the tolerance
 
 
 class WindowProgram:

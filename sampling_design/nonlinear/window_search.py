@@ -299,21 +299,17 @@ class WindowSearch:
         """Add the covariances, and what the discretisation costs: each piece integrated anew from where it begins."""
         solution, weights = answer.solution, self.weights
         slopes = answer.slopes or self.program.linearised(data, solution)
-        nodes = solution.nodes
-        if self.collocation.accuracy is None:
-            return answer._replace(
-                slopes=slopes, covariances=window_covariances(data.edges, slopes, data.root, weights)
-            )
-        jumps = self.jumps(data, solution)
-        if not np.isfinite(jumps).all():
-            covariances = window_covariances(data.edges, slopes, data.root, weights)
-            return answer._replace(slopes=slopes, covariances=covariances, jumps=jumps, error=np.inf)
-        covariances = window_covariances(data.edges, slopes, data.root, weights, jumps)
+        jumps = None if self.collocation.accuracy is None else self.jumps(data, solution)
+        known = jumps is not None and bool(np.isfinite(jumps).all())
+        covariances = window_covariances(data.edges, slopes, data.root, weights, jumps if known else None)
+        answer = answer._replace(slopes=slopes, covariances=covariances, jumps=jumps)
+        if not known:
+            return answer if jumps is None else answer._replace(error=np.inf)
         deviation = np.sqrt(np.einsum("ij,ij->i", covariances.filtered[-1], covariances.filtered[-1]))
-        moved_by = np.maximum(np.abs(covariances.bias) - FLOOR * np.abs(nodes).max(axis=0), 0.0)
+        moved_by = np.maximum(np.abs(covariances.bias) - FLOOR * np.abs(solution.nodes).max(axis=0), 0.0)
         with np.errstate(divide="ignore"):
             error = float(np.max(np.divide(moved_by, deviation, out=np.zeros_like(deviation), where=moved_by > 0)))
-        return answer._replace(slopes=slopes, covariances=covariances, jumps=jumps, error=error)
+        return answer._replace(error=error)
 
     def jumps(self, data: WindowData, solution: WindowSolution) -> Array:
         """Where each piece really ends, seen from the next node, scaled; NaN where it cannot be integrated."""

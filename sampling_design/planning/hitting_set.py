@@ -72,14 +72,8 @@ class _Search:
         reaching: list[int],
         work: Budget,
     ):
-        self.covering, self.pool, self.level, self.below, self.most, self.work = (
-            covering,
-            pool,
-            level,
-            below,
-            most,
-            work,
-        )
+        self.covering, self.pool, self.level = covering, pool, level
+        self.below, self.most, self.work = below, most, work
         self.left, self.found, self.frame = MOST_NODES, False, covering.frame[0].shape[0]
         self.given = np.zeros(covering.columns + 1, dtype=bool)
         self.given[-1] = True  # the owner of what is asked for in any case

@@ -50,7 +50,7 @@ def test_every_window_is_the_plain_sum(name, window, period):
     found = window_grams(problem, times, where, used)
     for b in range(4):
         for q in range(0, where.at.shape[1], 2):
-            wanted = plain(problem, times[b], used[b], where.at[b, q], where.closed[q] == "left")
+            wanted = plain(problem, times[b], used[b], where.at[b, q], where.left[q])
             assert np.allclose(found[b, q], wanted, rtol=0, atol=1e-8 * max(np.trace(wanted), 1.0))
 
 

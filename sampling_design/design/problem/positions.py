@@ -115,7 +115,7 @@ class WindowPositions:
     first: Index
     second: Index
     share: Array
-    closed: tuple[str, ...]
+    left: Mask  # (q,): which of them are limits just before a start
 
 
 def positions(problem: DesignProblem, times: Array, inner: int = 1) -> WindowPositions:
@@ -139,7 +139,7 @@ def positions(problem: DesignProblem, times: Array, inner: int = 1) -> WindowPos
         spread((order % k)[:, None, :], (times.shape[0], shares.size, q)).reshape(shape),
         spread((following % k)[:, None, :], (times.shape[0], shares.size, q)).reshape(shape),
         np.repeat(shares, q),
-        tuple(np.repeat(["right", "left", *["right"] * inner], q)),
+        np.repeat(np.arange(shares.size) == 1, q),
     )
 
 
@@ -149,8 +149,7 @@ def window_grams(problem: DesignProblem, times: Array, where: WindowPositions, u
     `used` (B, k, p) says which outputs each sample measures; default what the problem says.
     """
     mask = problem.measured(times) if used is None else used
-    left = np.array([c == "left" for c in where.closed])
-    return SlidingSums(problem.rows, times, mask, problem.period).at(where.at, left)
+    return SlidingSums(problem.rows, times, mask, problem.period).at(where.at, where.left)
 
 
 def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mask | None = None) -> Array:

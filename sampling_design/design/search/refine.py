@@ -102,7 +102,7 @@ def _slopes(problem: DesignProblem, times: Array, where: WindowPositions, kept: 
     result = np.zeros((kept.size, k, V.shape[-1], V.shape[-1]))
     mask = problem.measured(times)
     for place, m in enumerate(kept):
-        r, inside = lags(times, where.at[0, m], problem.window, problem.period, where.closed[m] == "left")
+        r, inside = lags(times, where.at[0, m], problem.window, problem.period, bool(where.left[m]))
         c = rows.rows(r) * (inside[..., None] & mask[:, None, :])[..., None]
         c = c.reshape(k, -1, n)
         half = np.swapaxes(c @ V[place], -1, -2) @ (c @ (rows.A @ V[place]))

@@ -141,7 +141,7 @@ class InclusionPlants:
         self.members: InclusionMembers = plant.members(np.random.default_rng(seed))
         self.columns, self.sizes = plant.columns, np.zeros(0)
         if self.columns is not None:  # multipliers stand for all members
-            self.members = self.members._replace(dynamics=self.columns.middle[None], complete=True)
+            self.members = self.members._replace(dynamics=self.columns[0][None], complete=True)
         self.chosen, self.chosen_outputs = extreme(self.members.dynamics), extreme(self.members.outputs)
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self._roots: dict[float, Array] = {}
@@ -166,9 +166,10 @@ class InclusionPlants:
         if self.columns is not None:
             to_w = np.linalg.inv(root_w).T / np.sqrt(b)  # of inner disturbances in physical ones
             axes = np.vstack([np.hstack([inverse.T, np.zeros((n, q))]), np.hstack([np.zeros((q, n)), to_w])])
-            multiplied = axes[list(self.columns.at)]
+            _, add, at = self.columns
+            multiplied = axes[list(at)]
             self.sizes = np.linalg.norm(multiplied, axis=1)
-            columns, multiplied = b * (T.T @ self.columns.add) * self.sizes, multiplied / self.sizes[:, None]
+            columns, multiplied = b * (T.T @ add) * self.sizes, multiplied / self.sizes[:, None]
         posed = InclusionData(
             dynamics=self.moved(self.members.dynamics, T), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
             nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),

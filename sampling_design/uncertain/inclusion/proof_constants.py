@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -76,15 +76,9 @@ class InclusionConstants(PaperConstants):
         )
 
 
-class InclusionNorms(NamedTuple):
-    """Bounds over a whole inclusion in the norm |x|_W, W = S'S.
-
-    `lipschitz` L_f >= |J|_W; `backward` mu >= 0 with |x(s)|_W <= e^{mu (t-s)} |x(t)|_W back in time along x' = Jx.
-    """
-
-    S: Array
-    lipschitz: float
-    backward: float
+InclusionNorms: TypeAlias = tuple[Array, float, float]
+"""Bounds over a whole inclusion in the norm |x|_W, W = S'S, as (S, L_f, mu): L_f >= |J|_W; mu >= 0 with
+|x(s)|_W <= e^{mu (t-s)} |x(t)|_W back in time along x' = Jx."""
 
 
 def constants_over_inclusion(
@@ -103,7 +97,7 @@ def constants_over_inclusion(
     T = None if window is None else checks.positive("window", window)
     hull = whole(plant)
     norms = [norms_of(hull, S) for S in metrics(plant.centre)]
-    b, slowest = family.longest, 2 * min(each.backward for each in norms)
+    b, slowest = family.longest, 2 * min(backward for *_, backward in norms)
     best: InclusionConstants | None = None
     needed = np.inf
     if slowest * b <= FASTEST:
@@ -171,7 +165,7 @@ def norms_of(hull: MemberHull, S: Array) -> InclusionNorms:
     up, moved = (-(X + np.swapaxes(X, -1, -2)) / 2 for X in (M, D))
     tops = np.linalg.eigvalsh(up)[..., -1] + np.linalg.norm(moved, 2, axis=(-2, -1)).sum(axis=0)
     lipschitz = largest(M, D)
-    return InclusionNorms(S, lipschitz, max(float(np.max(tops)) + (SAFE - 1) * lipschitz, 0.0))
+    return S, lipschitz, max(float(np.max(tops)) + (SAFE - 1) * lipschitz, 0.0)
 
 
 WindowBound: TypeAlias = tuple[float, float, float, float, float, float]
@@ -181,7 +175,8 @@ P2 <= gamma W; q < 1 is what the inequality returns of |Dx(t)|^2_W over a window
 
 def shortest_window(found: InclusionCertificate, norms: InclusionNorms) -> float:
     """The window beyond which a certificate gives condition (4); infinite where it gives it over none."""
-    W, excess = norms.S.T @ norms.S, found.eta - 2 * norms.backward
+    S, _, backward = norms
+    W, excess = S.T @ S, found.eta - 2 * backward
     if excess <= 0:
         return np.inf
     beta, gamma = generalised_max(W, found.P1) * SAFE, generalised_max(found.P2, W) * SAFE
@@ -192,13 +187,14 @@ def window_bound(
     found: InclusionCertificate, hull: MemberHull, norms: InclusionNorms, window: float | None
 ) -> WindowBound | None:
     """What makes (4) true; None where it does not follow."""
-    S, n, W = norms.S, len(norms.S), norms.S.T @ norms.S
+    S, _, backward = norms
+    n, W = len(S), S.T @ S
     beta, gamma = generalised_max(W, found.P1) * SAFE, generalised_max(found.P2, W) * SAFE
     inverse, root = np.linalg.inv(S), np.linalg.cholesky(found.Rtilde).T
     unit = np.linalg.inv(np.linalg.cholesky(found.Qw)).T
     g = largest(S @ hull.middle[..., n:] @ unit, S @ hull.moves[..., n:] @ unit)
     c = largest(root @ hull.output @ inverse, root @ hull.output_moves @ inverse)
-    excess = found.eta - 2 * norms.backward
+    excess = found.eta - 2 * backward
     if excess <= 0:
         return None
     T = float(np.log(4 * beta * gamma)) / excess if window is None else window
@@ -214,7 +210,8 @@ def theorem_5(
     if bound is None:
         return None
     c, g, beta, gamma, T, q = bound
-    L, b, eta, W = norms.lipschitz, found.d_max, found.eta, norms.S.T @ norms.S
+    S, L, backward = norms
+    b, eta, W = found.d_max, found.eta, S.T @ S
     t_star = max(T, b)
     if (2 * L + 3 * eta) * t_star > np.log(LARGEST):
         return None
@@ -228,7 +225,7 @@ def theorem_5(
         Constant("gamma_2", 1 / b, "1/b" + weighed % "y", "Definition 1, averaged", r"\gamma_2"),
         Constant("Lf", L, r"\max|J|_W", "Assumption 4, over the inclusion", "L_f"),
         Constant("rho", g / L if L else 0.0, r"\max|G|/L_f\quad(\times|\Delta w|)", "Assumption 4", r"\rho"),
-        Constant("mu", norms.backward, r"\max\lambda_{\max}(-(J^\top W+WJ)/2,W)^+", "backwards in time", r"\mu"),
+        Constant("mu", backward, r"\max\lambda_{\max}(-(J^\top W+WJ)/2,W)^+", "backwards in time", r"\mu"),
         Constant("beta", beta, r"\lambda_{\max}(W,P_1)", "the certificate's P1", r"\beta"),
         Constant("gamma", gamma, r"\lambda_{\max}(P_2,W)", "the certificate's P2", r"\gamma"),
         Constant("T", T, r"\ln(4\beta\gamma)/(\eta-2\mu)", "(4): q = 1/2", "T"),

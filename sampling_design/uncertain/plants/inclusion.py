@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,15 +26,10 @@ class InclusionMembers(NamedTuple):
     complete: bool
 
 
-class BoxColumns(NamedTuple):
-    """A box of many parameters: (A, G) at its middle (n, n + q), changes d_k add[:, k] (x, w)_at[k] with |d_k| <= 1.
-
-    In the order in which certificate files hold a multiplier for each: by parameter, then by the column it moves.
-    """
-
-    middle: Array
-    add: Array
-    at: tuple[int, ...]
+BoxColumns: TypeAlias = tuple[Array, Array, tuple[int, ...]]
+"""A box of many parameters, (middle, add, at): (A, G) at its middle (n, n + q), changes d_k add[:, k] (x, w)_at[k] with
+|d_k| <= 1, in the order in which certificate files hold a multiplier for each: by parameter, then by the column it
+moves."""
 
 
 class MemberHull(NamedTuple):

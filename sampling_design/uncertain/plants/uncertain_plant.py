@@ -230,7 +230,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
             for k in np.flatnonzero(np.any(M != 0, axis=0)).tolist():
                 add.append((each.high - each.low) / 2 * M[:, k])
                 at.append(k)
-        return BoxColumns(middle, np.array(add).T, tuple(at))
+        return middle, np.array(add).T, tuple(at)
 
     # --- what certificates need ---------------------------------------------------------------------------------------
 

@@ -250,9 +250,7 @@ class _DatedPlan:
         real, measured = real[order], measured[order]
         if start <= 0:
             return sequence_from_start(self.plan, real, measured, self.clock)
-        problem = self.plan.problem
-        late, delay = problem.timing_tolerance, problem.result_delay
-        whole = SampleSequence(real, measured, len(real), self.clock, late=late, result_delay=delay)
+        whole = SampleSequence.of(self.plan.problem, real, measured, len(real), self.clock)
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 
     def added(self, level: float) -> list[DatedSample]:

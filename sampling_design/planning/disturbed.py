@@ -148,8 +148,7 @@ def without(plan: PlanFigures, k: int, count: int, instead: tuple[Array, Mask] |
     back = float(schedule.times[(k + count) % N]) + (k + count) // N * schedule.period
     before, after = planned(plan, first - span, first - tiny), planned(plan, back - tiny, back + span)
     times, measured = map(np.concatenate, zip(before, *([instead] if instead else []), after, strict=True))
-    late, delay = problem.timing_tolerance, problem.result_delay
-    return SampleSequence(times, measured, before[0].size, late=late, result_delay=delay)
+    return SampleSequence.of(problem, times, measured, before[0].size)
 
 
 def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:

@@ -56,6 +56,14 @@ class SampleSequence:
     result_times: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Of the first samples, when each result was in (k, p); NaN where it is not yet, or `result_delay` says it."""
 
+    @classmethod
+    def of(
+        cls, problem: PlanProblem, times: Array, measured: Mask, first: int, clock: PlanClock = ORDINARY
+    ) -> SampleSequence:
+        """A sequence whose readings are as early or late, and whose results come as late, as those of a plan."""
+        late, delay = problem.timing_tolerance, problem.result_delay
+        return cls(times, measured, first, clock, late=late, result_delay=delay)
+
     @cached_property
     def clock_times(self) -> Array:
         """The times on the plan's clocks (K,)."""
@@ -187,10 +195,8 @@ def sequence_from_start(plan: PlanFigures, times: Array, measured: Mask, clock: 
     if not times.size or times[0] > 0:
         times, known_sides = np.append(0.0, times), np.concatenate([np.zeros((1, 2, p)), known_sides])
         measured = np.concatenate([np.zeros((1, p), dtype=bool), measured])
-    delay = plan.problem.result_delay
-    return SampleSequence(
-        times, measured, 0, clock, begins=True, late=late, known_sides=known_sides, result_delay=delay
-    )
+    whole = SampleSequence.of(plan.problem, times, measured, 0, clock)
+    return replace(whole, begins=True, known_sides=known_sides)
 
 
 def too_soon(problem: PlanProblem, times: Array, measured: Mask, taken: int = 0) -> Mask:

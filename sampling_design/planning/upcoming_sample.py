@@ -457,8 +457,8 @@ def _history(plan: Plan, taken: _RecordedSamples | None, now: float) -> SampleSe
         followed = from_start(plan, until, plan.clock)
     else:
         times, measured = planned(plan, until - span, until, plan.clock)
-        first, delay = _unchanged(plan, times), plan.problem.result_delay
-        followed = SampleSequence(times, measured, first, plan.clock, wider=wider, late=late, result_delay=delay)
+        followed = SampleSequence.of(plan.problem, times, measured, _unchanged(plan, times), plan.clock)
+        followed = replace(followed, wider=wider)
     if taken is None:
         return followed
     followed = followed.until(int(np.sum(followed.times < until)))

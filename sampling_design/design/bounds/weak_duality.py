@@ -212,9 +212,9 @@ class TimeCells:
         return np.append(self.start + self.width * np.arange(count), self.stop)
 
 
-def cells(problem: DesignProblem, start: float, stop: float) -> TimeCells:
-    """Cells whose width divides the spacing, so that times at least a spacing apart lie `apart` cells apart."""
-    fine = problem.period / cell_count(problem)
+def cells(problem: DesignProblem, start: float, stop: float, fine: float = np.inf) -> TimeCells:
+    """Cells, `fine` at most, whose width divides the spacing: times a spacing apart lie `apart` cells apart."""
+    fine = min(fine, problem.period / cell_count(problem))
     parts = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
     return TimeCells(start, stop, problem.spacing * (1 - NARROWER) / parts if parts else fine, parts)
 

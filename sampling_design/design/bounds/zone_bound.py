@@ -19,11 +19,9 @@ from sampling_design.design.bounds.relaxation import (
     solve_relaxation,
 )
 from sampling_design.design.bounds.weak_duality import (
-    NARROWER,
-    TimeCells,
     best_layers,
-    cell_count,
     cell_values,
+    cells,
     jump_times,
     piece_edges,
     profile,
@@ -213,10 +211,7 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) ->
     P = problem.period
     zone = np.stack([zones[:, 0] - TINY * P, zones[:, 1] + TINY * P], axis=1)
     wide = float(np.max(zone[:, 1] - zone[:, 0]))
-    fine = float(np.clip(wide / 6, P / _FINEST, P / cell_count(problem)))
-    apart = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
-    width = problem.spacing * (1 - NARROWER) / apart if apart else fine
-    arc = TimeCells(float(zone[0, 0]), float(zone[-1, 1]), width, apart)
+    arc = cells(problem, float(zone[0, 0]), float(zone[-1, 1]), max(wide / 6, P / _FINEST))
     ends = arc.edges
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])

@@ -35,6 +35,19 @@ def test_every_public_class_and_function_has_its_place(pages):
 
 
 @pytest.mark.long
+def test_what_pages_refer_to_has_its_place(pages):
+    text = "\n".join(pages.room_page(room) for room in pages.ROOMS)
+    places = set(re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, re.MULTILINE))
+    meant = {
+        (path.name, target)
+        for path in [*DOCS.glob("*.md"), *DOCS.glob("theory/*.md")]
+        for target in re.findall(r"\{py:obj\}`~?([\w.]+)`", path.read_text())
+    }
+    assert len(meant) > 40
+    assert {(page, target) for page, target in meant if not {target, target.rpartition(".")[0]} & places} == set()
+
+
+@pytest.mark.long
 def test_every_constant_that_tunes_says_what_it_trades(pages):
     """They stand together on one page, room by room; none is without its line (a checker says it once, at its head)."""
     package = ROOT / "sampling_design"

@@ -381,9 +381,10 @@ def _bounded(problem: PlanProblem, proof: Accuracy, which: list[int]) -> Array:
 
 
 def _at(proof: Accuracy, k: int, t: float, period: float) -> float:
-    """The upper side of a profile at one time, both panels at an edge."""
+    """The upper side of a profile at one time, both panels at an edge; the last one ends where the first begins."""
     edges = proof.profile.edges
     inside = edges[0] + (t - edges[0]) % period
     slack = 1e-9 * period
-    panels = np.flatnonzero((edges[:-1] <= inside + slack) & (inside - slack <= edges[1:]))
+    again = inside + period * np.array([[-1.0], [0.0], [1.0]])
+    panels = np.flatnonzero(np.any((edges[:-1] <= again + slack) & (again - slack <= edges[1:]), axis=0))
     return float(np.max(proof.profile.upper[k][panels]))

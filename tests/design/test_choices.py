@@ -102,7 +102,7 @@ def test_the_bound_of_a_box_with_a_choice_holds_its_schedules(side):
             continue
         order = np.argsort(np.mod(times, P))
         sigma = window_sigma_scan(A, C, np.mod(times, P)[order], P, 5.0, places=0, mask=seen[order])
-        part, _ = zone_part(posed, zones, side)
+        part, *_ = zone_part(posed, zones, side)
         assert sigma <= part.value * (1 + 1e-9)
         assert part.value <= BoundPart("zones", part.starts, part.weights, part.zones, side=side).value_for(case) * (
             1 + 1e-9

@@ -20,6 +20,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -446,6 +447,7 @@ class Odd:
 def wrong() -> dict[str, Callable[[], Any]]:
     """Arguments that are wrong for most parameters, made afresh for each call."""
     t = things()
+    import pandas as pd
     import scipy.signal
 
     return {
@@ -471,6 +473,14 @@ def wrong() -> dict[str, Callable[[], Any]]:
         "no states": lambda: sd.Plant(np.zeros((0, 0)), np.zeros((1, 0))),
         "folder": lambda: str(folder()), "module": lambda: np, "range": lambda: range(3),
         "pair of arrays": lambda: (np.ones(2), np.ones(2)), "one-sided pair": lambda: (0.1, np.inf),
+        "0-d array": lambda: np.array(3.0), "0-d text": lambda: np.array("x"), "no date": lambda: pd.NaT,
+        "span of time": lambda: np.timedelta64(3, "h"), "extended": lambda: np.longdouble("1e400"),
+        "date": lambda: datetime(2026, 1, 1), "date and number": lambda: [datetime(2026, 1, 1), 3.0],
+        "zero byte": lambda: "a\0b", "half a letter": lambda: "\ud800", "text in text": lambda: {"Mon": {"x": 1}},
+        "deep": lambda: functools.reduce(lambda inner, _: [inner], range(5000), [1.0]),
+        "masked": lambda: np.ma.array([1.0, 2.0], mask=[True, False]), "same names": lambda: ["position", "position"],
+        "frame": lambda: pd.DataFrame([[1.0, 2.0]], columns=["position", "position"]),
+        "mixed": lambda: [1.0, "2", None],
     }  # fmt: skip
 
 

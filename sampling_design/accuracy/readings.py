@@ -152,7 +152,7 @@ def time_or_span(t: object) -> tuple[float, tuple[float, float] | None]:
 
     Raises ArgumentError if it is neither, or `last` comes before `first`.
     """
-    if not isinstance(t, (tuple, list, np.ndarray)) or np.ndim(t) == 0:
+    if not isinstance(t, (tuple, list, np.ndarray)) or checks.dimensions(t) == 0:
         return checks.number("t", t), None
     first, last = (float(end) for end in checks.vector("t", t, 2))
     if first > last:

@@ -130,7 +130,7 @@ def new(
     except OSError as error:
         raise ArgumentError(f"`DIR` {target} cannot be made a folder ({error.strerror}).") from None
     settings.wrote(_commented(sd.plants.write_plant(plant, paths[0]), PLANT))
-    settings.wrote(_commented(sd.design.write_requirement(wanted, paths[1]), _dated(asked.start)))
+    settings.wrote(_commented(sd.design.write_requirement(wanted, paths[1]), _dated(asked)))
     words = f"Next: sampling-design design {paths[0]} {paths[1]} -o {target}"
     data = {"plant": plant.to_dict(), "requirement": wanted.to_dict()}
     if planned is not None:
@@ -140,9 +140,9 @@ def new(
     settings.show(data, words)
 
 
-def _dated(start: str) -> dict[str, str]:
+def _dated(asked: RequirementFlags) -> dict[str, str]:
     """The comments of a requirement, with the date of time zero where it was said."""
-    zero = f"midnight of {start}" if start else "midnight, of a Monday"
+    zero = f"midnight of {asked.start} {asked.zone}".strip() if asked.start else "midnight, of a Monday"
     return {**REQUIREMENT, "format": REQUIREMENT["format"].replace("midnight, of a Monday", zero)}
 
 

@@ -132,6 +132,8 @@ def requirement(asked: RequirementFlags, unit: str, span: float) -> sd.Requireme
     """Return what a schedule must keep: a window and, unless told, a period of one oscillation, in whole days."""
     hours = week(asked.open_hours, asked.weekend)
     place = OpeningCalendar(asked.start or A_MONDAY, asked.zone or "UTC", hours)  # a slip is named, hours or none
+    if asked.zone and not asked.start:
+        raise ArgumentError(f"`--zone` {asked.zone} says where --start is local time: give --start DATE with it.")
     period = span if asked.period is None else asked.period
     if hours is not None:
         period = whole_days(period, unit, hours, given=asked.period is not None)
@@ -173,7 +175,7 @@ NEEDED = {"noise": "how far a reading may be off", "disturbance": "how strong wh
 def plan_requirement(asked: RequirementFlags, plant: sd.Plant, span: float) -> sd.PlanRequirement | None:
     """Return what a plan must keep; None where nothing was said of accuracy."""
     if not asked.within.strip():
-        for flag in ("noise", "prices", "disturbance", "holidays", "grid"):
+        for flag in ("noise", "prices", "visit", "disturbance", "holidays", "grid"):
             if getattr(asked, flag):
                 raise ArgumentError(f"`--{flag}` belongs to a plan. Say how well what must be known: --within.")
         return None
@@ -186,7 +188,7 @@ def plan_requirement(asked: RequirementFlags, plant: sd.Plant, span: float) -> s
     prices = by_name("--prices", asked.prices, outputs, outputs)
     disturbance = by_name("--disturbance", asked.disturbance, states, states)
     hours = week(asked.open_hours, asked.weekend)
-    if not asked.start and (hours is not None or asked.zone or asked.holidays):
+    if not asked.start and (hours is not None or asked.holidays):
         raise ArgumentError("`--start` is missing: opening hours and holidays of a plan need a date to count from.")
     calendar = None
     if asked.start:

@@ -369,4 +369,4 @@ _NEWTON_TOLERANCE = 1e-13  # relative, in scaled states
 
 def _input_or_zero(u: object, size: int) -> object:
     """The input as it was given; nothing at all stands for zero."""
-    return np.zeros(size) if u is None or (isinstance(u, Sized) and not len(u)) else u
+    return np.zeros(size) if u is None or (isinstance(u, Sized) and checks.dimensions(u) and not len(u)) else u

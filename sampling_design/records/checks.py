@@ -82,7 +82,7 @@ def real_array(name: str, value: object, ndim: int) -> Array:
 
     Raises ArgumentError if it is not numeric, complex, of another dimension, or holds NaN or infinity.
     """
-    array = _as_reals(name, value)
+    array = floats(name, value)
     if array.ndim != ndim:
         slips = {(2, 1): " One row is [[...]], in two brackets.", (1, 0): " One number is [...], in brackets."}
         slip = slips.get((ndim, array.ndim), "")
@@ -119,7 +119,8 @@ def floats(name: str, value: object) -> Array:
 
     Raises ArgumentError if it is not numeric, ragged or complex.
     """
-    return np.array(_as_reals(name, value), dtype=np.float64)
+    with np.errstate(over="ignore"):  # extended precision holds numbers that are infinite here
+        return np.array(_as_reals(name, value), dtype=np.float64)
 
 
 def dimensions(value: object) -> int:
@@ -143,6 +144,8 @@ def described(value: object) -> str:
         return f"{name} {' '.join(repr(value).split()):.60}"
     except ValueError:  # an integer of thousands of digits has no text
         return f"{name} of more than 4000 digits"
+    except RecursionError:
+        return f"{name} of lists inside each other"
 
 
 def of_kind(name: str, value: object, kind: type[Instance], expected: str = "") -> Instance:
@@ -290,9 +293,18 @@ def definite(name: str, value: object, size: int, slip: str = "") -> Array:
     return array
 
 
+def is_unicode(text: str) -> bool:
+    """Whether a file can hold it: half a surrogate pair is no letter."""
+    try:
+        return text.isascii() or bool(text.encode())
+    except UnicodeEncodeError:
+        return False
+
+
 def texts(value: object) -> tuple[str, ...] | None:
     """Return the texts of a list as a tuple; None where it is no list, or holds anything else."""
-    return None if is_text(value) or not holds(value, str) else tuple(str(each) for each in value)
+    found = None if is_text(value) or not holds(value, str) else tuple(str(each) for each in value)
+    return None if found is None or not all(map(is_unicode, found)) else found
 
 
 def holds(value: object, kind: type[Instance]) -> TypeGuard[Sequence[Instance]]:

@@ -97,6 +97,11 @@ def _nearby(where: str) -> str:
     return ""
 
 
+def is_column(name: str, *taken: str) -> bool:
+    """Whether a CSV file gives this name of a column back, beside those that are taken."""
+    return bool(name) and name == name.strip() and name not in taken and not any(c in name for c in "\r\n")
+
+
 def separator(header: str) -> str:
     """What separates the cells of a CSV file with this header: a comma, a semicolon or a tab."""
     return max(",;\t", key=header.count) if header.count(",") == 0 else ","

@@ -23,7 +23,7 @@ import numpy as np
 
 from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import described, meant
+from sampling_design.records.checks import described, is_unicode, meant
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -348,10 +348,13 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
     slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
+    of_file = any(typing.get_origin(kind) is os.PathLike for kind in _classes(hint))
 
     def check(value: object) -> object:
         if value is default:
             return value
+        if of_file and (is_text(value) or _path(value)):
+            return _of_file(name, value)  # type: ignore[arg-type]
         for _, take in kinds:
             taken = take(name, value)
             if taken is not _NO:
@@ -440,7 +443,7 @@ def _instance(kind: type) -> tuple[str, Callable[[str, object], object]]:
                 raise ArgumentError(
                     f"`{argument}` must be {label}, got the class {value.__name__}: make one, {value.__name__}(...)."
                 )
-            return value
+            return value if kind is not str or is_unicode(str(value)) else _NO
         maker = None if foreign is None else foreign(value)
         return _NO if maker is None else _ForeignSystem(maker, value)
 
@@ -466,6 +469,16 @@ def _path(value: object) -> bool:
     return isinstance(value, os.PathLike) and is_text(os.fspath(value))
 
 
+def _of_file(name: str, value: str | os.PathLike[str]) -> object:
+    """Refuse the path of no file whatever: a zero byte in it, or letters that are none."""
+    try:
+        if b"\0" not in os.fsencode(value):
+            return value
+    except UnicodeEncodeError:
+        pass
+    raise ArgumentError(f"`{name}` must be a path that a file can have, got {described(value)}.")
+
+
 def _truth(_: str, value: object) -> object:
     return bool(value) if is_flag(value) else _NO
 
@@ -481,6 +494,8 @@ def _number(name: str, value: object) -> Any:
         result = float(value)
     except OverflowError:
         raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
+    except TypeError:  # numpy counts a span of time among whole numbers
+        return _NO
     if math.isnan(result):
         raise ArgumentError(f"`{name}` must be finite, got nan.")
     return value if isinstance(value, (int, float)) else result

@@ -179,7 +179,7 @@ def _to_csv(schedule: AnySchedule) -> str:
     if mask is not None and names is None:
         names = tuple(f"y{i + 1}" for i in range(mask.shape[1]))
     for name in names or ():
-        if name != name.strip() or name in ("", "time") or any(c in name for c in ',"\n\r#'):
+        if not file_io.is_column(name, "time") or any(c in name for c in ',"#'):
             raise ArgumentError(f"`output_names`: {name!r} cannot be a column of a CSV file. Write .json instead.")
     if mask is None:
         mask = np.ones((len(schedule), len(names or ())), dtype=bool)

@@ -154,8 +154,8 @@ class OpeningCalendar(PlainRecord):
         return clock - _ahead(there, self.begun)
 
     def elapsed_at(self, date: datetime) -> float:
-        """Real minutes from the start to a date that has an offset."""
-        return passed(self.begun, date) / timedelta(minutes=1)
+        """Real minutes from the start to a date; without an offset it is one of the place's clocks."""
+        return passed(self.begun, parse_date("date", date, self.zone)) / timedelta(minutes=1)
 
     def date(self, elapsed: float) -> datetime:
         """The local date, with its offset, so many real minutes after the start."""
@@ -187,6 +187,7 @@ class OpeningCalendar(PlainRecord):
 
         Holidays are not among them: a plan is about ordinary days.
         """
+        own = None if own is None else week_hours("own", own)
         day, late = 1440, self.first.hour * 60 + self.first.minute
         spans = [span for hours in (self.open_hours(), own or {}) for each in hours.values() for span in each]
         clocks = {0, *(minutes(clock) for span in spans for clock in span)}

@@ -9,7 +9,9 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 import numpy as np
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.records import checks
 from sampling_design.records.file_io import csv_rows, decimal, read_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS, check_time_unit
@@ -122,9 +124,10 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
     try:
-        date = value if isinstance(value, datetime) else zoned_date(value)
+        date = value if isinstance(value, datetime) and value == value else zoned_date(value)
     except (TypeError, ValueError, AttributeError):
-        raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {value!r:.60}.") from None
+        came = repr(value)[:60] if is_text(value) else checks.described(value)
+        raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {came}.") from None
     if date.tzinfo is not None or zone is None:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date
     place = time_zone(zone)

@@ -261,6 +261,8 @@ def test_nothing_is_written_over_unless_forced(shell, tmp_path):
         (("--oscillation", "24", "--sensors", "a,a"), "twice"),
         (("--decay", "5", "--zone", "Berlin"), "a time zone like Europe/Berlin"),
         (("--decay", "5", "--start", "soon"), "start"),
+        (("--decay", "5", "--zone", "Europe/Berlin"), "`--zone` Europe/Berlin says where --start is local time"),
+        (("--decay", "5", "--visit", "3"), "`--visit` belongs to a plan"),
     ],
 )
 def test_a_slip_is_one_sentence_and_writes_nothing(shell, tmp_path, flags, said):

@@ -37,8 +37,24 @@ FOUND = (
     ("weights_from_bounds", {"initial_error": "1e-308"}),
     ("NonlinearPlant", {"limits": "complex array"}),
     ("check_detectability", {"pairs": "1e18"}),
+    ("standard_deviation", {"schedule": "deep"}),
+    ("KalmanFilter.update", {"y": "deep"}),
+    ("MovingHorizonEstimator.update", {"t": "deep"}),
+    ("unobservable_modes", {"rtol": "span of time"}),
+    ("SpacedWindows", {"window": "extended"}),
+    ("KalmanFilter.smooth", {"record": "0-d array"}),
+    ("OpeningCalendar", {"start": "no date"}),
+    ("OpeningCalendar.elapsed_at", {"date": "no date"}),
+    ("write_ics", {"start": "no date"}),
+    ("OpeningCalendar.closed", {"own": "text in text"}),
+    ("TimeVaryingPlant.transitions", {"times": "[]"}),
+    ("read_plan", {"path": "zero byte"}),
+    ("write_estimates", {"path": "half a letter"}),
+    ("Plant", {"name": "half a letter"}),
+    ("NonlinearPlant.linearise", {"u": "0-d array"}),
+    ("error_map", {"horizon": "0"}),
 )
-"""Calls that were raw once, found by seeds 90101 to 90104 and 91001 to 91030."""
+"""Calls that were raw once, found by seeds 90101 to 90104, 91001 to 91030 and 501 to 503."""
 
 
 @pytest.mark.long

@@ -46,8 +46,9 @@ def error_map(certificate: Certificate, start: float, horizon: float, cost: str 
     Raises
     ------
     ArgumentError
-        If the cost is unknown.
+        If the cost is unknown, or the horizon not positive.
     """
+    checks.positive("horizon", horizon)
     problem, ends = _stated(certificate, cost)
     sampled = certificate.schedule.between(start, start + horizon, closed=ends).times
     found: Array = _along(problem, np.array([start]), horizon, [sampled])[0]
@@ -73,13 +74,14 @@ def spectral_radius(certificate: Certificate, horizon: float, cost: str = "certi
     Raises
     ------
     ArgumentError
-        If the schedule is finite.
+        If the schedule is finite, or the horizon not positive.
 
     Notes
     -----
     *Method.* Windows follow each other; after at most 64 of them they start at the same phase of it to 1e-9, and
     the radius of the product is taken per window. Where they never do, after 64.
     """
+    checks.positive("horizon", horizon)
     schedule = period_of(certificate.schedule, FINITE)
     period, first = schedule.period, schedule.first
     if not certificate.plant.n_states:

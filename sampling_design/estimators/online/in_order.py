@@ -231,7 +231,7 @@ class OnlineEstimator(Displayable, ABC):
                 raise TypeError
             y = np.array(given, dtype=np.float64, ndmin=1)
         except (TypeError, ValueError):
-            raise ArgumentError(f"`y` must hold numbers, got {value!r:.60} at t = {t!r}.") from None
+            raise ArgumentError(f"`y` must hold numbers, got {checks.described(value)} at t = {t!r}.") from None
         p = self.plant.n_outputs
         if y.shape != (p,):
             raise ArgumentError(f"`y` must have {p} entr{'y' if p == 1 else 'ies'}, got shape {y.shape} at t = {t!r}.")
@@ -447,7 +447,7 @@ def listed(record: object, plant: MeasuredPlant) -> tuple[list[object], str]:
     if is_frame(record):
         record = read_measurements(record, plant)
     origin = record.origin if isinstance(record, Measurements) else ""
-    if isinstance(record, Iterable) and not isinstance(record, (str, bytes)):
+    if isinstance(record, Iterable) and not isinstance(record, (str, bytes)) and getattr(record, "ndim", 1):
         found = list(record)
         times = _stamps(found)
         return (sorted(found, key=_stamp) if len(times) == len(found) and times != sorted(times) else found), origin

@@ -18,6 +18,7 @@ from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.frames import DataFrame, Series, lines_of
 from sampling_design.estimators.records.measurement_table import (
+    STAMPS,
     SINCE,
     UNTIL,
     MeasuredPlant,
@@ -379,12 +380,20 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
     -------
     Path
         The file, written whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the name of an output or input cannot be a column.
     """
     plant = measurements.plant
     spans = [measurements.span_of(k) for k in range(len(measurements))]
     stamps = ["time", *(["time" + UNTIL] if any(spans) else [])]
     means = sorted({each.output for row in measurements.censored for each in row if each.since is not None})
     header = [*stamps, *plant.outputs.names, *(plant.outputs.names[i] + SINCE for i in means), *plant.inputs.names]
+    for name in header[len(stamps) :]:
+        if header.count(name) > 1 or not file_io.is_column(name, *STAMPS, "time" + UNTIL):
+            raise ArgumentError(f"`measurements`: {name!r} cannot be a column of a CSV file, or is one already.")
     body = []
     table = zip(measurements.times.tolist(), spans, measurements.y, measurements.u, measurements.censored, strict=True)
     for t, span, y, u, censored in table:

@@ -305,8 +305,8 @@ class TimeVaryingPlant(Record):
         functions by LSODA to 1e-9, and once more to 1e-11.
         """
         grid = checks.increasing("times", times)
-        if grid[0] < 0 or grid[-1] > self.horizon * (1 + 1e-12):
-            raise ArgumentError(f"`times` must lie in [0, {self.horizon:.6g}].")
+        if not grid.size or grid[-1] > self.horizon * (1 + 1e-12):
+            raise ArgumentError(f"`times` must lie in [0, {self.horizon:.6g}], one at least.")
         spread = None if w_spread is None or self.G is None else checks.vector("w_spread", w_spread, None) ** 2
         n, unit = self.n_states, self.states.scales
         outputs = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()]) * unit

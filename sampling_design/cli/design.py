@@ -53,6 +53,7 @@ def info(
     tables: list[RichTable | str] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
     data: dict[str, object] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
     if split.retained.n_states:
+        sd.observability.require_observable(plant, "a zero count", split.decay_rate)
         count = sd.zero_count_bound(split.retained, window_length(settings, split, window))
         tables += [record_table(count), count.explain()]
         left = plant.n_states - split.retained.n_states

@@ -149,7 +149,7 @@ def design_schedule(
     resolved, used, count = resolve(split, wanted)
     least = max(1, resolved.fixed.size, resolved.samples.get("exactly", resolved.samples.get("at_least", 1)))
     check_size(pose(designed_plant(split), resolved, least, check=False))
-    if count is None:  # refuses a mode that no output sees
+    if count is None:  # of chosen rows it refuses a mode that no output observes
         count = zero_count_bound(split.retained, float(resolved.window or 0))
     run = _DesignRun(
         plant=plant,

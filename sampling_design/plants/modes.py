@@ -24,6 +24,8 @@ __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_mode
 
 Bases = tuple[Array, Array, Array]
 """Right and left basis of a part in the plant's own coordinates, and the part's A."""
+NOTHING = 4.0  # times the rounding of a basis: entries of a part's C below are zero, as an unobservable mode's are
+MOST_NOTHING = 1e-10  # entries wrong by no more could hide a mode, wherever modes are called unobservable
 OFFSET = 1e-8  # stability margin in units of |A|: the spread of a double eigenvalue under rounding
 
 
@@ -219,7 +221,8 @@ def split_modes(
         return _split(plant, decay_rate, found, whole=bool(select.all()))
     parts, separation, condition = _decoupled(form, select)
     orthonormal = [_orthonormal(*part, plant.states.scales) for part in parts]
-    return _split(plant, decay_rate, found, orthonormal, separation, condition)
+    slight = min(NOTHING * error * condition * (1 + form.speed / separation), MOST_NOTHING)
+    return _split(plant, decay_rate, found, orthonormal, separation, condition, nothing=slight)
 
 
 def _orthonormal(V: Array, L: Array, A: Array, scales: Array) -> Bases:
@@ -253,7 +256,7 @@ def _decoupled(form: SchurForm, select: npt.NDArray[np.int32]) -> tuple[list[Bas
 
 def _split(
     plant: Plant, decay_rate: float, found: Callable[..., ModalSplit], parts: Sequence[Bases] = (),
-    separation: float = np.inf, condition: float = 1.0, whole: bool = True,
+    separation: float = np.inf, condition: float = 1.0, whole: bool = True, nothing: float = 0.0,
 ) -> ModalSplit:  # fmt: skip
     """Make the two plants and the record, which lacks them and their bases; without `parts` one is the whole plant."""
     n = plant.n_states
@@ -261,13 +264,19 @@ def _split(
     (V_r, L_r, A_r), (V_s, L_s, A_s) = parts or (undivided if whole else undivided[::-1])
     return found(
         plant=plant, decay_rate=decay_rate, separation=separation, condition=condition,
-        retained=plant if len(L_r) == n else _part(plant, A_r, V_r, L_r, "retained", plant.D),
-        residual=_part(plant, A_s, V_s, L_s, "residual", np.zeros_like(plant.D)),
+        retained=plant if len(L_r) == n else _part(plant, A_r, V_r, L_r, "retained", plant.D, nothing),
+        residual=_part(plant, A_s, V_s, L_s, "residual", np.zeros_like(plant.D), nothing),
         basis_retained=freeze(V_r), basis_residual=freeze(V_s), left_retained=freeze(L_r), left_residual=freeze(L_s),
     )  # fmt: skip
 
 
-def _part(plant: Plant, A: Array, V: Array, L: Array, what: str, D: Array) -> Plant:
-    """Return one part as a plant; its states carry no scales, since its basis is orthonormal in those of x."""
+def _part(plant: Plant, A: Array, V: Array, L: Array, what: str, D: Array, nothing: float) -> Plant:
+    """Return one part as a plant; its states carry no scales, since its basis is orthonormal in those of x.
+
+    What an output shows of a state is zero where that is no more than `nothing` of what was added up, the rounding of
+    the basis: left as it is, an unobservable mode would seem to be observed weakly.
+    """
+    C = plant.C @ V
     states = plant.states if A is plant.A else Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])))
-    return replace(replace_matrices(plant, A, plant.C @ V, L, states), D=D, name=f"{plant.name} ({what})".strip())
+    C[np.abs(C) <= nothing * (np.abs(plant.C) @ np.abs(V))] = 0.0
+    return replace(replace_matrices(plant, A, C, L, states), D=D, name=f"{plant.name} ({what})".strip())

@@ -124,7 +124,9 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
     try:
-        date = value if isinstance(value, datetime) and value == value else zoned_date(value)
+        date = value if isinstance(value, datetime) else zoned_date(value)
+        if date != date:  # pandas counts its missing date among dates
+            raise ValueError
     except (TypeError, ValueError, AttributeError):
         came = repr(value)[:60] if is_text(value) else checks.described(value)
         raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {came}.") from None

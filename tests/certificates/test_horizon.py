@@ -119,6 +119,11 @@ def test_contraction_needs_a_periodic_schedule_and_a_known_cost():
     finite = made_for(schedule=Schedule([1.0, 2.0]))
     with pytest.raises(ArgumentError, match="a finite one has no long run"):
         spectral_radius(finite, 1.0)
+    for length in (0.0, -1.0):
+        with pytest.raises(ArgumentError, match="`horizon` must be positive"):
+            spectral_radius(made_for(), length)
+        with pytest.raises(ArgumentError, match="`horizon` must be positive"):
+            error_map(made_for(), 0.0, length)
     with pytest.raises(ArgumentError, match="`certificate` must be on a periodic schedule"):
         least_contracting(finite)
     with pytest.raises(ArgumentError, match='`cost` must be "certificate" or "paper"'):

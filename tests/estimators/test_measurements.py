@@ -7,6 +7,7 @@ import pandas
 import pytest
 
 from sampling_design import Measurements, MovingHorizonEstimator, Plant, read_measurements
+from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.records.measurement_table import BLOCK
@@ -71,6 +72,19 @@ def test_round_trip_is_exact(tmp_path):
     assert np.array_equal(found.times, times)
     assert np.array_equal(found.y, y, equal_nan=True)
     assert np.array_equal(found.u, u)
+
+
+@pytest.mark.parametrize("name", ["time", "date", "time_until", "a\nb", " gauge", "gauge_since"])
+def test_a_name_that_no_column_gives_back_is_not_written(tmp_path, name):
+    """What is written is read again: the file is refused when it is made, not when it is needed."""
+    plant = Plant([[0.0]], [[1.0], [1.0]], outputs=["gauge", name])
+    mean = ((), (CensoredReading(0, 0.1, 0.1, 0.2),))
+    rows = Measurements(
+        plant, np.array([0.5, 1.0]), np.array([[0.1, 0.2], [np.nan, 0.4]]), np.zeros((2, 0)), censored=mean
+    )
+    with pytest.raises(ArgumentError, match=r"cannot be a column of a CSV file, or is one already\."):
+        write_measurements(rows, tmp_path / "file.csv")
+    assert not (tmp_path / "file.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -134,6 +135,18 @@ def test_a_call_that_does_not_fit_is_one_sentence(call, words):
     with pytest.raises(TypeError, match=words) as told:  # what Python calls it, too
         call()
     assert isinstance(told.value, CallError)
+
+
+@pytest.mark.parametrize("path", ["a\0b", "\ud800"])
+def test_a_path_that_no_file_has_is_one_sentence(path):
+    with pytest.raises(ArgumentError, match="`path` must be a path that a file can have, got str"):
+        sd.read_plan(path)
+
+
+def test_a_file_may_have_a_name_that_is_no_text(tmp_path):
+    path = tmp_path / os.fsdecode(b"caf\xe9.toml")
+    sd.plants.write_plant(sd.named_plant("oscillator"), path)
+    assert sd.read_plant(path).name == sd.read_plant(str(path)).name
 
 
 def test_a_class_is_no_instance():

@@ -5,6 +5,7 @@ import pytest
 
 from sampling_design import ArgumentError, PeriodicSchedule, Schedule
 from sampling_design.schedules.calendar import calendar, write_calendar_csv, write_ics
+from sampling_design.schedules.opening import OpeningCalendar
 from tests.cases import few
 
 DAY = PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h", origin="2026-01-05")
@@ -268,3 +269,11 @@ def test_an_endless_rule_keeps_its_gaps_and_a_grid_keeps_seconds(tmp_path):
     assert "DTSTART:20260105T000010Z" in write_ics(odd, path, grid=10.0).read_text()
     with pytest.raises(ArgumentError, match=r"`grid` must be whole seconds in an iCalendar file, got 0\.5"):
         write_ics(odd, path, grid=0.5)
+
+
+def test_a_date_without_an_offset_is_one_of_the_places_clocks():
+    """Not of this computer's: noon in Berlin is noon there wherever it is asked."""
+    place = OpeningCalendar("2026-03-28", "Europe/Berlin")
+    assert place.elapsed_at(datetime(2026, 3, 28, 12)) == 720.0
+    assert place.elapsed_at(datetime(2026, 3, 29, 12)) == 1440.0 + 660.0  # the clocks were put forward
+    assert place.elapsed_at(datetime(2026, 3, 28, 12, tzinfo=UTC)) == 780.0

@@ -127,7 +127,7 @@ def certify_detectability(
     noise_gain, margin = checks.positive("noise_gain", noise_gain), checks.positive("margin", margin)
     floor = checks.nonnegative("floor", floor)
     eta = None if eta is None else checks.positive("eta", eta)
-    _refuse_undetectable(plant, 0.0 if eta is None else eta)
+    refuse_undetectable(plant, 0.0 if eta is None else eta)
     unit_w, unit_y = _units(plant)
     bounds = None if c_w is None or c_y is None else (checks.positive("c_w", c_w), checks.positive("c_y", c_y))
     ratio = unit_y / unit_w if bounds is None else checks.positive("c_y / c_w", bounds[1] / bounds[0])
@@ -163,7 +163,7 @@ def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) 
         raise ArgumentError("`c_w` and `c_y` must be bounded together or not at all: one can be traded for the other.")
 
 
-def _refuse_undetectable(plant: Plant, rate: float) -> None:
+def refuse_undetectable(plant: Plant, rate: float) -> None:
     """Refuse modes that no output sees and that do not decay at `rate` (of the squared error)."""
     unobservable = unobservable_modes(plant, rate)
     if len(unobservable):
@@ -331,7 +331,7 @@ def detectability_from_proof(
     _arguments(plant, "riccati", None, None)
     Q = np.eye(n) if Q is None else checks.definite("Q", Q, n)
     if gain is None:
-        _refuse_undetectable(plant, 0.0)
+        refuse_undetectable(plant, 0.0)
         Y = _filter(plant, 0.0, 1.0, FLOOR)
         if Y is None:
             raise SolverError(_NO_SOLUTION.format(rate=0))

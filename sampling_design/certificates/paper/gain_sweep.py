@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from sampling_design.certificates.detectability.best_rate import _refuse_undetectable, detectability_from_proof
+from sampling_design.certificates.detectability.best_rate import detectability_from_proof, refuse_undetectable
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.errors import SolverError
 from sampling_design.numerics.filtering import stationary_covariance
@@ -35,7 +35,7 @@ def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) ->
     search over shift, diagonal noise and diagonal Q. *Claim.* None on optimality: whatever the choice, the
     constants are those of the proof.
     """
-    _refuse_undetectable(plant, 0.0)
+    refuse_undetectable(plant, 0.0)
     n = plant.n_states
     search = _GainSearch(plant, t_star, variant, cap)
     starts = [np.r_[np.log(s), np.log(w), np.zeros(2 * (n - 1))] for s in SHIFTS for w in NOISES]

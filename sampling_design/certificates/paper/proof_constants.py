@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.detectability.best_rate import detectability_from_proof
+from sampling_design.certificates.detectability.best_rate import detectability_from_proof, refuse_undetectable
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.form.horizon import Constant, ConstantList
@@ -240,6 +240,7 @@ def constants_from_proof(
     if isinstance(schedule, SamplingFamily):
         raise ArgumentError("`schedule` must be a Schedule or a PeriodicSchedule for a plant that is exactly known.")
     schedule = align(plant, schedule)
+    refuse_undetectable(plant, 0.0)
     split = split_modes(plant)
     share = None if variant == "paper" else RESIDUAL_SHARE
     decay = residual_decay(split.residual, share) if split.residual.n_states else None

@@ -11,6 +11,7 @@ from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.functional import part_for
+from sampling_design.observability.count.pbh import require_observable
 from sampling_design.observability.count.zero_count import ZeroCountBound, default_window, zero_count_bound
 from sampling_design.observability.sigma_bracket import SHARE
 from sampling_design.plants.functional import split_needed, weighed_over
@@ -43,6 +44,8 @@ def split_for(plant: Plant, requirement: Requirement) -> ModalSplit:
     """Split what is designed for: the plant, or what the rows asked for need, weighed over the window."""
     rate = requirement.decay_rate / time_factor(requirement.time_unit or plant.time_unit, plant.time_unit)
     split = split_needed(part_for(plant, requirement.of, decay_rate=rate), rate)
+    if requirement.of is None:
+        require_observable(plant, "a zero count", rate)
     if requirement.of is None or not split.retained.n_states:
         return split
     return weighed_over(split, float(resolve(split, requirement).requirement.window or 0))

@@ -447,7 +447,7 @@ def listed(record: object, plant: MeasuredPlant) -> tuple[list[object], str]:
     if is_frame(record):
         record = read_measurements(record, plant)
     origin = record.origin if isinstance(record, Measurements) else ""
-    if isinstance(record, Iterable) and not isinstance(record, (str, bytes)) and getattr(record, "ndim", 1):
+    if isinstance(record, Iterable) and not isinstance(record, (str, bytes)) and getattr(record, "ndim", True):
         found = list(record)
         times = _stamps(found)
         return (sorted(found, key=_stamp) if len(times) == len(found) and times != sorted(times) else found), origin

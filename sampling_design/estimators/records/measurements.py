@@ -18,8 +18,8 @@ from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.frames import DataFrame, Series, lines_of
 from sampling_design.estimators.records.measurement_table import (
-    STAMPS,
     SINCE,
+    STAMPS,
     UNTIL,
     MeasuredPlant,
     date_of,

@@ -181,8 +181,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     density = len(schedule) / schedule.period
     values = np.linalg.eigvals(kept.A) if kept.n_states else np.zeros(0)
     growth, rounding = _fastest(kept)
-    if kept.n_states:
-        require_observable(kept, "a loss tolerance")
+    require_observable(plant, "a loss tolerance", 0.0)
     everything = bool(schedule.outputs is None or schedule.outputs.all())
     periods, hidden = _hidden(kept, schedule, growth)
     lower = 0.0

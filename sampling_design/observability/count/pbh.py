@@ -237,7 +237,9 @@ class _Pair:
 
 
 @checked
-def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERANCE) -> None:
+def require_observable(
+    plant: Plant, purpose: str, decay_rate: float | None = None, *, rtol: float = RANK_TOLERANCE
+) -> None:
     """Raise if some mode is observed by no output.
 
     Parameters
@@ -245,8 +247,9 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     plant : Plant
     purpose : str
         What needs it; begins the message.
-    rtol : float
-        As for `unobservable_modes`.
+    decay_rate, rtol : float
+        As for `unobservable_modes`. Instead of a part that was split off ask the plant: the part's coordinates hold
+        rounding, which may show what no output observes.
 
     Returns
     -------
@@ -257,7 +260,7 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     NotObservableError
         If a mode is unobservable; carries the eigenvalues and directions.
     """
-    hidden = unobservable_modes(plant, rtol=rtol)
+    hidden = unobservable_modes(plant, decay_rate, rtol=rtol)
     if len(hidden):
         raise NotObservableError(
             f"{purpose} needs every mode to be observable; unobservable: {hidden.describe()}. Add an output that "

@@ -6,6 +6,7 @@ The grammar: the argument as typed, what was expected, what came, and the likely
 from __future__ import annotations
 
 import numbers
+import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, fields
@@ -299,6 +300,14 @@ def is_unicode(text: str) -> bool:
         return text.isascii() or bool(text.encode())
     except UnicodeEncodeError:
         return False
+
+
+def of_file(name: str, value: str | os.PathLike[str]) -> object:
+    """Return a path. Raises ArgumentError if no file can have it: a zero byte, or half a surrogate pair."""
+    with suppress(UnicodeEncodeError):
+        if b"\0" not in os.fsencode(value):
+            return value
+    raise ArgumentError(f"`{name}` must be a path that a file can have, got {described(value)}.")
 
 
 def texts(value: object) -> tuple[str, ...] | None:

@@ -23,7 +23,7 @@ import numpy as np
 
 from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import described, is_unicode, meant
+from sampling_design.records.checks import described, is_unicode, meant, of_file
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -348,13 +348,13 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
     slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
-    of_file = any(typing.get_origin(kind) is os.PathLike for kind in _classes(hint))
+    is_path = any(typing.get_origin(kind) is os.PathLike for kind in _classes(hint))
 
     def check(value: object) -> object:
         if value is default:
             return value
-        if of_file and (is_text(value) or _path(value)):
-            return _of_file(name, value)  # type: ignore[arg-type]
+        if is_path and (is_text(value) or _path(value)):
+            return of_file(name, value)  # type: ignore[arg-type]
         for _, take in kinds:
             taken = take(name, value)
             if taken is not _NO:
@@ -467,16 +467,6 @@ def _among(value: object, allowed: tuple[object, ...]) -> bool:
 
 def _path(value: object) -> bool:
     return isinstance(value, os.PathLike) and is_text(os.fspath(value))
-
-
-def _of_file(name: str, value: str | os.PathLike[str]) -> object:
-    """Refuse the path of no file whatever: a zero byte in it, or letters that are none."""
-    try:
-        if b"\0" not in os.fsencode(value):
-            return value
-    except UnicodeEncodeError:
-        pass
-    raise ArgumentError(f"`{name}` must be a path that a file can have, got {described(value)}.")
 
 
 def _truth(_: str, value: object) -> object:

@@ -20,6 +20,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
@@ -60,6 +61,9 @@ class AccuracyLimit(TableRecord, PlainRecord):
         Where in the period of the zones the last node of each stands.
     unknown : tuple of str
         Eigenvalues of modes that no measurement shows.
+    closed : bool
+        Whether the search for the strongest adversary ended within its budget: if not, `lower` holds and may be far
+        below what could be attained.
     """
 
     plant: Plant
@@ -71,9 +75,10 @@ class AccuracyLimit(TableRecord, PlainRecord):
     witnesses: tuple[AccuracyWitness | None, ...]
     phases: Array
     unknown: tuple[str, ...]
+    closed: bool = True
 
     _frame = "row:rows.names unit:rows.units lower"
-    _plain = "rows:rows.names lower zones period unknown witnesses"
+    _plain = "rows:rows.names lower zones period unknown closed witnesses"
     _answers = (
         "errors at the worst time that no schedule of the allowed times falls below",
         "attained: by a trajectory for each row that no measurement shows",
@@ -102,13 +107,15 @@ class AccuracyLimit(TableRecord, PlainRecord):
     def _rows(self) -> list[tuple[str, str]]:
         where = "all times" if self.zones is None else f"{len(self.zones)} zones in {short(self.period)}"
         lines = [("measured at", f"{where} {self.plant.time_unit}" if self.zones is not None else where)]
+        lines += [] if self.closed else [("search", "ended by its budget")]
         return lines + [(label, short(x)) for label, x in zip(self.rows.labels(), self.lower, strict=True)]
 
     def explain(self) -> str:
         """Say what nobody can know better."""
         when = "Even measured at all times" if self.zones is None else "Even measured at all allowed times"
         parts = [f"{n} is uncertain by {short(x, 4)}" for n, x in zip(self.rows.labels(), self.lower, strict=True)]
-        return f"{when}, {', '.join(parts)} at the worst moment: no schedule and no estimator knows more."
+        more = "" if self.closed else " The budget ended the search: the true limit may be far above."
+        return f"{when}, {', '.join(parts)} at the worst moment: no schedule and no estimator knows more.{more}"
 
 
 @checked
@@ -121,6 +128,7 @@ def accuracy_limit(
     zones: Zones = None,
     period: float | None = None,
     rtol: float = 0.02,
+    budget: float | None = None,
 ) -> AccuracyLimit:
     """Return a lower bound on the guaranteed error of wanted rows that no schedule of the allowed times beats.
 
@@ -139,6 +147,8 @@ def accuracy_limit(
         Of the zones.
     rtol : float
         What the search may lose; the bound holds whatever it is.
+    budget : float, optional [seconds]
+        After it the adversaries that were found count, and 0 where there is none; the record says so (`closed`).
 
     Returns
     -------
@@ -180,12 +190,13 @@ def accuracy_limit(
     lower, phases = np.full(len(rows), np.inf), np.zeros(len(rows))
     witnesses: list[AccuracyWitness | None] = [None] * len(rows)
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
+    limit = Budget(None if budget is None else checks.positive("budget", budget))
     nothing = bool(np.any(one.v == 0) or not np.any(one.w))  # what nothing drives stays at rest
     for k in safe:
         if not nothing:
             row = rows.matrix[k] @ known.lift
             try:
-                witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance)
+                witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance, limit)
             except UndecidedError:
                 raise UndecidedError(
                     "undecided: the disturbances are so weak beside the noise, or what is not measured grows so far "
@@ -194,7 +205,16 @@ def accuracy_limit(
         witness = witnesses[k]
         lower[k] = 0.0 if witness is None else witness.value
     return AccuracyLimit(
-        plant, rows, one, allowed, span, freeze(lower), tuple(witnesses), freeze(phases), unknown=known.modes
+        plant,
+        rows,
+        one,
+        allowed,
+        span,
+        freeze(lower),
+        tuple(witnesses),
+        freeze(phases),
+        known.modes,
+        closed=not limit.over,
     )
 
 
@@ -267,18 +287,20 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
 
 
 def _strongest(
-    plant: Plant, row: Array, bounds: SignalBounds, allowed: Array | None, period: float, rtol: float
+    plant: Plant, row: Array, bounds: SignalBounds, allowed: Array | None, period: float, rtol: float, limit: Budget
 ) -> tuple[AccuracyWitness | None, float]:
     """The strongest witness over finer and finer nodes, and its phase."""
     best: tuple[AccuracyWitness | None, float] = None, 0.0
     step = _step(plant, bounds, allowed, period)
     for halving in range(HALVINGS):
+        if limit.over:
+            break
         nodes, span = _nodes(allowed, period, step)
         if nodes.size > 2 * CROWDED and halving:
             break
         question = _question(plant, bounds, nodes, span)
         found, phase, factor = _adversary_in_gap(
-            GainSearch(*question.filter_bounds(plant)), question, row, allowed, period, rtol
+            GainSearch(*question.filter_bounds(plant), budget=limit), question, row, allowed, period, rtol
         )
         if found is not None and (best[0] is None or found.value > best[0].value):
             best = found, phase
@@ -304,7 +326,7 @@ def _adversary_in_gap(
     while True:
         search.both_sides(j, found.opened[j].mu[at])
         now = float(search.attained(found, j)[at])
-        if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES:
+        if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES or search.budget.over:
             break
         before = now
         search.deep *= 2

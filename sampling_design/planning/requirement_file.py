@@ -26,11 +26,9 @@ from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
 from sampling_design.records.file_io import by_first, by_kind, of_format, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.sensor import CALENDAR, SENSOR, from_files
+from sampling_design.schedules.sensor import CALENDAR, DURATION, SENSOR, from_files
 
 _NUMBERS = list_of(nonnegative)
-_duration = by_kind({str: text}, positive)
-"""A number of time units, or text with a unit of its own."""
 _time = by_kind({str: text}, nonnegative)
 _early_late = by_kind({list: list_of(_time, 2), tuple: list_of(_time, 2)}, _time)
 _TIMING = by_kind({Mapping: by_name(_early_late)}, _early_late)  # a duration, early and late, or either by output
@@ -52,7 +50,7 @@ _goal = by_kind({Mapping: _GOAL}, positive)  # a tolerance, or a table of all th
 _TREE = table(
     {"format": word(FORMAT)},
     {
-        **dict.fromkeys(("period", "grid", "spacing"), _duration),
+        **dict.fromkeys(("period", "grid", "spacing"), DURATION),
         "timing_tolerance": _TIMING,
         "samples": count,
         "cost_limit": positive,

@@ -376,7 +376,8 @@ def hours_in_file(value: object, place: str) -> object:
     return _SPANS(value, place)
 
 
-_duration = by_kind({str: text}, positive)
+DURATION = by_kind({str: text}, positive)
+"""A time of a file: a number, or text with a unit of its own."""
 _DELAYS = list_of(by_kind({str: text}, nonnegative), 2)
 _delay = by_kind({str: text, list: _DELAYS, tuple: _DELAYS}, nonnegative)  # a time, or the least and the most of it
 _available = by_kind({str: text}, list_of(by_first({str: list_of(text, 2)}, list_of(nonnegative, 2))))
@@ -388,7 +389,7 @@ SENSOR = table(
         "available": _available,
         "hours": hours_in_file,
         "longest_use": count,
-        "spacing": _duration,
+        "spacing": DURATION,
         "result_delay": _delay,
         **dict.fromkeys(("detection_limit", "lowest"), number),
     },

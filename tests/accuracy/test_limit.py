@@ -135,3 +135,14 @@ def test_an_undecided_limit_speaks_of_no_schedule():
     plant = sd.Plant([[1.0]], [[1.0]])
     with pytest.raises(UndecidedError, match="undecided: the disturbances are so weak beside the noise"):
         sd.accuracy.accuracy_limit(plant, w_bound=0.1, v_bound=0.1, zones=[(0.0, 0.0)], period=500.0)
+
+
+def test_a_spent_budget_leaves_what_was_attained_and_says_so():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    whole, spent = (sd.accuracy.accuracy_limit(plant, w_bound=0.02, v_bound=0.1, budget=b) for b in (None, 1e-9))
+    assert (whole.closed, spent.closed) == (True, False)
+    assert np.all(spent.lower <= whole.lower)
+    assert spent.verify()
+    assert "budget" in spent.explain()
+    assert "budget" not in whole.explain()
+    assert "ended by its budget" in str(spent)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sampling_design import Requirement, read_requirement
-from sampling_design.design.problem.requirement_file import write_requirement
+from sampling_design.design.problem.requirement import FORMAT
+from sampling_design.design.problem.requirement_file import requirement_from_dict, write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.sensor import Sensor
 
@@ -59,7 +60,7 @@ def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
         (FULL.replace("60.0\n", "-60.0\n"), "`spacing` must be positive"),
         (FULL.replace("exactly", "exact"), "unknown key 'exact' in `samples`"),
         (FULL.replace("60.0\n", "true\n"), "`spacing` must be a number, got a boolean True"),
-        (FULL.replace("60.0\n", "'60'\n"), "`spacing` must be a number, got a text '60'"),
+        (FULL.replace("60.0\n", "'60'\n"), """`spacing` must be a time like 0.25 or "15 min", got '60'"""),
         (FULL.replace("60.0\n", "inf\n"), "holds inf, which is not a finite double"),
         (FULL.replace("60.0\n", "-nan\n"), "holds -nan, which is not a finite double"),
         (FULL.replace("60.0\n", f"1{'0' * 400}\n"), "`spacing` must be a number that a double holds"),
@@ -138,3 +139,19 @@ def test_records_speak():
     assert requirement.replace(window=5.0).window == 5.0
     with pytest.raises(ArgumentError, match="unknown key 'windoe' in the requirement"):
         requirement.replace(windoe=5.0)
+
+
+def test_a_length_of_time_may_have_a_unit_of_its_own(tmp_path):
+    """As in a plan: in arguments and in a file alike."""
+    said = {"window": "4 h", "period": "1 d", "spacing": "30 min"}
+    found = Requirement(**said, time_unit="min")
+    assert (found.window, found.period, found.spacing) == (240.0, 1440.0, 30.0)
+    path = tmp_path / "requirement.toml"
+    lines = [f'{key} = "{text}"' for key, text in {"format": FORMAT, **said, "time_unit": "min"}.items()]
+    path.write_text("\n".join(lines))
+    assert read_requirement(path).to_dict() == found.to_dict()
+    assert requirement_from_dict(found.to_dict()).to_dict() == found.to_dict()
+    with pytest.raises(ArgumentError, match="has a unit of its own: give `time_unit`, that of all times"):
+        Requirement(window="4 h")
+    with pytest.raises(ArgumentError, match=r"`window` must be a time like 0\.25 or"):
+        Requirement(window="soon", time_unit="h")

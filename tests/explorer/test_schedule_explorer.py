@@ -9,9 +9,17 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, MissingExtraError
-from sampling_design.explorer import SCENES, ScheduleExplorer, explore, scene
+from sampling_design.explorer import SCENES, ScheduleExplorer, explore, scene, schedule_explorer
 
 TURN = 2 * np.pi
+
+
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """What half a second leaves undone depends on the machine's load: nothing here is about that."""
+    monkeypatch.setattr(schedule_explorer, "LIVE_BUDGET", None)
+
+
 PLANT = sd.named_plant("oscillator")
 
 

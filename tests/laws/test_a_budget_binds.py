@@ -117,6 +117,7 @@ VERBS = {
     "accuracy_by_count": lambda b: sd.accuracy.accuracy_by_count(
         HARD, (4, 5), period=4.2, w_bound=0.1, v_bound=0.1, rtol=1e-6, budget=b
     ),
+    "accuracy_limit": lambda b: sd.accuracy.accuracy_limit(OSCILLATOR, w_bound=1e-3, v_bound=0.1, rtol=1e-4, budget=b),
     "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
     "largest_box": lambda b: sd.uncertain.largest_box(
         MANY, EASY, window=40.0, rtol=1e-9, budget=b / 16

@@ -9,7 +9,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_table
+from sampling_design.checkers.strict import is_table, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.rows import Wanted, row_arguments, rows_in_words
 from sampling_design.records import checks
@@ -19,7 +19,7 @@ from sampling_design.records.record import Plain, WrittenRecord, moment, short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.opening import OpeningCalendar
-from sampling_design.schedules.sensor import Sensor, intervals, spans_in_words
+from sampling_design.schedules.sensor import Sensor, duration, intervals, spans_in_words
 
 FORMAT = "sampling-design/requirement/1"
 Place: TypeAlias = OpeningCalendar | Mapping[str, object] | None
@@ -33,12 +33,12 @@ class Requirement(WrittenRecord):
 
     Parameters
     ----------
-    window : float, optional
+    window : float or str, optional
         Length T of the window from which the state must be seen. Default: from the plant's modes, and early and late
         together longer, so that it holds what was planned in the shorter one.
-    period : float, optional
+    period : float or str, optional
         The schedule repeats after this time. Default: the window, before that is added.
-    spacing : float, optional
+    spacing : float or str, optional
         Least time between two samples, the last of a period and the first of the next included.
         Default window/(4 samples).
     samples : int or dict, optional
@@ -67,7 +67,8 @@ class Requirement(WrittenRecord):
         Most that the measurements of one period may cost together; the design then chooses which outputs
         each sample measures, at least one.
     time_unit : str, optional
-        Unit of all times here; None means the plant's.
+        Unit of all times here; None means the plant's. Needed where `window`, `period` or `spacing` is text with a unit
+        of its own ("15 min"), which is held in this one.
     timing_tolerance : float, pair (early, late), or dict of these by output, optional
         How early or late each sample may come, together less than `spacing`: sigma is then the least over all such real
         times too, and the bound is one of that least sigma. A window that just holds a sample may lose it; one that is
@@ -77,7 +78,8 @@ class Requirement(WrittenRecord):
     Raises
     ------
     ArgumentError
-        If a number is not positive, a count is no whole number, or an interval is empty.
+        If a number is not positive, a count is no whole number, an interval is empty, or text has a unit where
+        `time_unit` is missing.
 
     Notes
     -----
@@ -100,9 +102,9 @@ class Requirement(WrittenRecord):
         "format:_format window? period? spacing? target_sigma? cost_limit? time_unit? of? samples? decay_rate "
         "timing_tolerance? forbidden? fixed? sensors? calendar?"
     )
-    window: float | None = None
-    period: float | None = None
-    spacing: float | None = None
+    window: Converted[float | str | None, float | None] = None  # type: ignore[assignment]
+    period: Converted[float | str | None, float | None] = None  # type: ignore[assignment]
+    spacing: Converted[float | str | None, float | None] = None  # type: ignore[assignment]
     samples: Converted[int | Mapping[str, int] | None, dict[str, int]] = None  # type: ignore[assignment]
     target_sigma: float | None = None
     decay_rate: float = 0.0
@@ -117,8 +119,10 @@ class Requirement(WrittenRecord):
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
-        lengths = ("window", "period", "spacing", "target_sigma", "cost_limit")
-        self._check(**dict.fromkeys(lengths, checks.positive), decay_rate=checks.nonnegative)
+        if self.time_unit is not None:
+            check_time_unit(self.time_unit)
+        self._check(**dict.fromkeys(("window", "period", "spacing"), self._length))
+        self._check(**dict.fromkeys(("target_sigma", "cost_limit"), checks.positive), decay_rate=checks.nonnegative)
         if self.timing_tolerance is not None:
             own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance).plain
         own["samples"] = _counts(self.samples)
@@ -134,11 +138,17 @@ class Requirement(WrittenRecord):
                         f"`sensors.{name}.{key}` is for plans: a design has one `spacing` and counts samples together."
                     )
         own["of"] = row_arguments(self.of)
-        if self.time_unit is not None:
-            check_time_unit(self.time_unit)
         self._hold(**own)
         if self.period is not None:
             self._check_within(self.period)
+
+    def _length(self, name: str, value: object) -> float:
+        length = duration(name, value, self.time_unit or "s")
+        if is_text(value) and self.time_unit is None:
+            raise ArgumentError(
+                f"`{name}` = {value!r:.40} has a unit of its own: give `time_unit`, that of all times here."
+            )
+        return length
 
     def _check_within(self, period: float) -> None:
         """Refuse times beyond the period; called again when a default period is filled in."""

@@ -23,7 +23,7 @@ from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requireme
 from sampling_design.errors import ArgumentError
 from sampling_design.records.file_io import by_first, by_kind, of_format, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.sensor import CALENDAR, SENSOR, from_files
+from sampling_design.schedules.sensor import CALENDAR, DURATION, SENSOR, from_files
 
 _SPANS = list_of(list_of(nonnegative, 2))
 _COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
@@ -39,7 +39,8 @@ TIMING = by_kind({Mapping: by_name(_EARLY_LATE)}, _EARLY_LATE)
 _TREE = table(
     {"format": word(FORMAT)},
     {
-        **dict.fromkeys(("window", "period", "spacing", "target_sigma", "cost_limit"), positive),
+        **dict.fromkeys(("window", "period", "spacing"), DURATION),
+        **dict.fromkeys(("target_sigma", "cost_limit"), positive),
         "samples": by_kind({Mapping: _COUNTS}, count),
         "decay_rate": nonnegative,
         "timing_tolerance": TIMING,

@@ -212,8 +212,8 @@ def accuracy_limit(
         span,
         freeze(lower),
         tuple(witnesses),
-        freeze(phases),
-        known.modes,
+        phases=freeze(phases),
+        unknown=known.modes,
         closed=not limit.over,
     )
 

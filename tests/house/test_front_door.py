@@ -141,7 +141,7 @@ README_LINES = re.search(r"## Eight lines\n\n```python\n(.*?)```", (ROOT / "READ
 WRONG = {
     'sd.Plant("nonsense", 3, colour="red")': r'Unexpected keyword argument "colour" for "Plant"',
     "sd.desing_schedule": r'Module has no attribute "desing_schedule"; maybe "design_schedule"',
-    "sd.Requirement(window='long')": r'Argument "window" to "Requirement" has incompatible type "str"',
+    "sd.Requirement(window=[4.0])": r'Argument "window" to "Requirement" has incompatible type "list\[float\]"',
     "sd.Schedule(None)": r'Argument 1 to "Schedule" has incompatible type "None"',
     "sd.Plant([[1.0]], [[1.0]]).states.names.append('x')": r'"tuple\[str, ...\]" has no attribute "append"',
     "sd.certify(sd.plants.library.oscillator(), 3.0)": r'No overload variant of "certify" matches argument types',

@@ -142,15 +142,34 @@ def solve_cone_program(
     """
     from scipy import sparse
 
-    cl = clarabel()
-    kinds = _cones() | {"psd": cl.PSDTriangleConeT}
-    sizes = [np.asarray(b).size for _, _, b in blocks]
-    cones = [kinds[kind](_order(m) if kind == "psd" else m) for (kind, _, _), m in zip(blocks, sizes, strict=True)]
     if any(sparse.issparse(A) for _, A, _ in blocks):
         A = sparse.vstack([sparse.csc_matrix(A) for _, A, _ in blocks], format="csc")
     else:  # converted once, not block by block: small problems are posed by the hundred
         A = sparse.csc_matrix(np.vstack([A for _, A, _ in blocks]))
-    b = np.concatenate([np.asarray(b, dtype=float).ravel() for _, _, b in blocks])
+    cones = [(kind, b) for kind, _, b in blocks]
+    return solve_cone_program_of(
+        cost, A, cones, tolerance=tolerance, budget=budget, iterations=iterations, refined=refined
+    )
+
+
+def solve_cone_program_of(
+    cost: Array,
+    A: csc_matrix,
+    blocks: Sequence[tuple[str, Array]],
+    *,
+    tolerance: float = TOLERANCE,
+    budget: float | None = None,
+    iterations: int = 200,
+    refined: bool = True,
+) -> ConeSolution:
+    """The same for A in one piece, sparse, whose rows are those of the blocks (kind, b) in their order."""
+    from scipy import sparse
+
+    cl = clarabel()
+    kinds = _cones() | {"psd": cl.PSDTriangleConeT}
+    sizes = [np.asarray(b).size for _, b in blocks]
+    cones = [kinds[kind](_order(m) if kind == "psd" else m) for (kind, _), m in zip(blocks, sizes, strict=True)]
+    b = np.concatenate([np.asarray(b, dtype=float).ravel() for _, b in blocks])
     settings = quiet_settings(tolerance, iterations)
     settings.iterative_refinement_enable = refined
     if budget is not None:
@@ -170,7 +189,7 @@ def solve_cone_program(
         details={"raw_status": raw, "tolerance": tolerance, "rows": int(b.size), "columns": len(cost)},
     )  # fmt: skip
     pieces = np.split(np.asarray(found.z, dtype=float), np.cumsum(sizes)[:-1])
-    z = tuple(smat(p) if kind == "psd" else p for (kind, _, _), p in zip(blocks, pieces, strict=True))
+    z = tuple(smat(p) if kind == "psd" else p for (kind, _), p in zip(blocks, pieces, strict=True))
     return ConeSolution(np.asarray(found.x, dtype=float), z, record)
 
 

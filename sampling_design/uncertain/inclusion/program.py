@@ -16,7 +16,9 @@ from sampling_design.numerics import conic_programs
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.evidence import SolverRecord
 
-Block = tuple[str, sparse.csc_matrix, Array]
+Entries = tuple[Index, Index, Array]
+Block = tuple[str, Entries, Array]
+"""Cone, rows and columns and values of -A x, right-hand side: one matrix is made of all of them at once."""
 
 MARGIN = 1e-5
 """Of flow and jump, relative to P: solvers miss their inequalities by some 1e-8, and P is rounded afterwards."""
@@ -159,17 +161,15 @@ class InclusionProgram:
         self.scale = flow_scale(posed)
         self.fixed = [*self._flow(), *self._jump()]
 
-    def _block(self, parts: list[tuple[int, Array]], right: Array, more: int = 0) -> Block:
-        """right - (-parts) x in the cone: columns start at the given places, `more` of them beyond the width."""
-        rows = parts[0][1].shape[0]
+    def _block(self, parts: list[tuple[int, Array]], right: Array) -> Block:
+        """right - (-parts) x in the cone: columns start at the given places."""
         row, column, data = [], [], []
         for start, values in parts:
             i, j = np.nonzero(values)
             row.append(i)
             column.append(j + start)
             data.append(-values[i, j])
-        places = (np.concatenate(row), np.concatenate(column))
-        return "psd", sparse.csc_matrix((np.concatenate(data), places), shape=(rows, self.width + more)), right
+        return "psd", (np.concatenate(row), np.concatenate(column), np.concatenate(data)), right
 
     def _padded(self, corner: Array, side: Array | None = None) -> Array:
         """svec of [corner, side; side', 0] for each of a stack, as columns."""
@@ -260,15 +260,15 @@ class InclusionProgram:
         return np.asarray(x[self.gains_at : self.gains_at + int(np.prod(shape))].reshape(shape))
 
     def _solved(self, cost: Array, blocks: list[Block], fixed: list[Block]) -> tuple[Array | None, SolverRecord]:
-        m, more = len(self.posed.multiplied) * self.ends, len(cost) - self.width
-        wider = [(kind, sparse.hstack([A, sparse.csc_matrix((A.shape[0], more))]).tocsc(), b) for kind, A, b in fixed]
-        every: list[Block] = [*wider, *blocks]
-        if m:
-            signs = sparse.csc_matrix(
-                (-np.ones(m), (np.arange(m), self.count * self.pairs + np.arange(m))), shape=(m, len(cost))
-            )
-            every.append(("nonnegative", signs, np.zeros(m)))
-        found = conic_programs.solve_cone_program(cost, every, budget=self.budget)
+        m, every = np.arange(len(self.posed.multiplied) * self.ends), [*fixed, *blocks]
+        if m.size:
+            every.append(("nonnegative", (m, self.count * self.pairs + m, -np.ones(m.size)), np.zeros(m.size)))
+        sizes = [right.size for _, _, right in every]
+        row, column, data = (np.concatenate(part) for part in zip(*(entries for _, entries, _ in every), strict=True))
+        row = row + np.repeat(np.cumsum([0, *sizes[:-1]]), [entries[0].size for _, entries, _ in every])
+        A = sparse.csc_matrix((data, (row, column)), shape=(sum(sizes), len(cost)))
+        cones = [(kind, right) for kind, _, right in every]
+        found = conic_programs.solve_cone_program_of(cost, A, cones, budget=self.budget)
         point = np.asarray(found.x, dtype=np.float64)
         return (point if conic_programs.usable(found.record) else None), found.record
 
@@ -288,11 +288,7 @@ class InclusionProgram:
         """The largest p with P >= p unit, and the solver's point; 0 and None where there is none."""
         cost = np.zeros(self.width)
         cost[-1] = -1.0
-        cap = (
-            "nonnegative",
-            sparse.csc_matrix(([1.0], ([0], [self.width - 1])), shape=(1, self.width)),
-            np.array([1e6]),
-        )
+        cap = ("nonnegative", (np.array([0]), np.array([self.width - 1]), np.ones(1)), np.array([1e6]))
         one, unit = np.eye(self.pairs), vector(self.posed.unit)
         above = [
             self._block([(i * self.pairs, one), (self.width - 1, -unit[:, None])], 0 * unit) for i in range(self.count)
@@ -311,11 +307,11 @@ class InclusionProgram:
         t, W, more = self.width - 1, self.width, self.pairs
         cost = np.zeros(self.width + more)
         cost[t] = -1.0
-        blocks = [self._block([(W, one)], -floor * unit, more)]
+        blocks = [self._block([(W, one)], -floor * unit)]
         for i in range(self.count):
             at = i * self.pairs
-            blocks.append(self._block([(at, one), (W, -one)], 0 * shape, more))
-            blocks.append(self._block([(W, ratio * one), (at, -one), (t, -shape[:, None])], 0 * shape, more))
+            blocks.append(self._block([(at, one), (W, -one)], 0 * shape))
+            blocks.append(self._block([(W, ratio * one), (at, -one), (t, -shape[:, None])], 0 * shape))
         x, record = self._solved(cost, blocks, self.fixed)
         if x is None:
             return None, np.eye(self.posed.n), record
@@ -336,11 +332,11 @@ class InclusionProgram:
     def within(self, ratio: float) -> tuple[Array | None, float, SolverRecord]:
         """The same with a matrix W chosen too: W <= P <= ratio W and I/20 <= W <= I; W stands behind the point."""
         one, shape, W, more = np.eye(self.pairs), vector(np.eye(self.posed.n)), self.width, self.pairs
-        blocks = [self._block([(W, -one)], shape, more), self._block([(W, one)], -LEAST_BOUND * shape, more)]
+        blocks = [self._block([(W, -one)], shape), self._block([(W, one)], -LEAST_BOUND * shape)]
         for i in range(self.count):
             at = i * self.pairs
-            blocks.append(self._block([(at, -one), (W, ratio * one)], 0 * shape, more))
-            blocks.append(self._block([(at, one), (W, -one)], 0 * shape, more))
+            blocks.append(self._block([(at, -one), (W, ratio * one)], 0 * shape))
+            blocks.append(self._block([(at, one), (W, -one)], 0 * shape))
         return self._with_slack(blocks, more)
 
     def bound(self, x: Array) -> Array | None:
@@ -353,8 +349,11 @@ class InclusionProgram:
         one = np.zeros((size, size))
         one[:n, :n] = np.eye(n)
         flows, at = len(self.posed.dynamics) * self.ends, self.width - 1
-        column = sparse.csc_matrix(vector(one)[:, None])
-        taken = [(kind, sparse.hstack([A[:, :at], column]).tocsc(), right) for kind, A, right in self.fixed[:flows]]
+        own = self._block([(at, -vector(one)[:, None])], np.zeros(0))[1]
+        taken = []
+        for kind, entries, right in self.fixed[:flows]:
+            row, column, data = (np.concatenate(part) for part in zip(entries, own, strict=True))
+            taken.append((kind, (row, column, data), right))
         cost = np.zeros(self.width + more)
         cost[at] = -1.0
         x, record = self._solved(cost, blocks, [*taken, *self.fixed[flows:]])

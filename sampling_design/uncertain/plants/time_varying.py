@@ -36,7 +36,7 @@ class MatrixTable:
     stack: Array
 
     def __call__(self, t: float) -> Array:
-        k = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.times.size - 2))
+        k = min(max(int(self.times.searchsorted(t, side="right")) - 1, 0), self.times.size - 2)
         share = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
         return np.asarray((1 - share) * self.stack[k] + share * self.stack[k + 1])
 
@@ -325,27 +325,26 @@ class TimeVaryingPlant(Record):
     def _flow_along(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""
         n, unit = self.n_states, self.states.scales
+        G_of = None if spread is None else self.G
 
         def rate(t: float, flat: Array) -> Array:
-            both = flat.reshape(2 * n, n)
             A = np.asarray(self.A(t), dtype=float) * unit / unit[:, None]
             if not np.isfinite(A).all():
                 raise ArgumentError(
                     f"`A` must be finite on the whole horizon, got {A.ravel()[:4].tolist()} at t = {t!r}."
                 )
+            if G_of is None:  # without noise W stays 0
+                return (A @ flat.reshape(n, n)).ravel()
+            both, G = flat.reshape(2 * n, n), np.asarray(G_of(t), dtype=float) / unit[:, None]
             half = A @ both[n:]
-            grown = half + half.T
-            if spread is not None and self.G is not None:
-                G = np.asarray(self.G(t), dtype=float) / unit[:, None]
-                grown = grown + G * spread @ G.T
-            return np.vstack([A @ both[:n], grown]).ravel()
+            return np.vstack([A @ both[:n], half + half.T + G * spread @ G.T]).ravel()
 
-        begin = np.vstack([np.eye(n), np.zeros((n, n))]).ravel()
-        found = []
-        for a, b in zip(grid[:-1].tolist(), grid[1:].tolist(), strict=True):
-            both = integrated(rate, a, b, begin, tolerance)[0].reshape(2 * n, n)
-            found.append(np.vstack([both[:n], symmetrise(both[n:])]))
-        return np.array(found).reshape(-1, 2 * n, n)
+        begin = np.eye(n if G_of is None else 2 * n, n).ravel()
+        found = np.zeros((grid.size - 1, 2 * n, n))
+        for k, (a, b) in enumerate(pairwise(grid.tolist())):
+            both = integrated(rate, a, b, begin, tolerance)[0].reshape(-1, n)
+            found[k, :n], found[k, n : len(both)] = both[:n], symmetrise(both[n:]) if len(both) > n else both[n:]
+        return found
 
     def explain(self) -> str:
         """Say what the plant is."""

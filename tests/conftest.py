@@ -90,6 +90,14 @@ def pytest_configure_node(node: Any) -> None:
     node.workerinput["everything"] = node.config.pluginmanager.has_plugin("raised")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each file to one process, the largest first: what its tests share is made once, not once in each."""
+    if config.getoption("dist") != "load":
+        return None
+    return importlib.import_module("xdist.scheduler").LoadFileScheduling(config, log)
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Do not even read, for long tests, a file that marks none."""
     if not config.getoption("--long") or collection_path.suffix != ".py":

@@ -38,7 +38,7 @@ def progress_bar(label: str = "") -> AbstractContextManager[Progress]:
     --------
     >>> import sampling_design as sd
     >>> with sd.records.progress_bar("design") as progress:
-    ...     design = sd.design_schedule(sd.named_plant("oscillator"), progress=progress)
+    ...     design = sd.design_schedule(sd.named_plant("oscillator"), branches=0, progress=progress)
     """
     return _bar(label)
 

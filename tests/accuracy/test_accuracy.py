@@ -328,9 +328,16 @@ def test_a_period_given_several_times_over_is_asked_once(v_bound, monkeypatch):
         sd.PeriodicSchedule(gaps),
         w_bound=0.02,
         v_bound=v_bound[:2] if isinstance(v_bound, list) else v_bound,
+        of=OSCILLATOR.states.names[:1],
     )
     alone = len(solves)
-    thrice = sd.guaranteed_accuracy(OSCILLATOR, sd.PeriodicSchedule(np.tile(gaps, 3)), w_bound=0.02, v_bound=v_bound)
+    thrice = sd.guaranteed_accuracy(
+        OSCILLATOR,
+        sd.PeriodicSchedule(np.tile(gaps, 3)),
+        w_bound=0.02,
+        v_bound=v_bound,
+        of=OSCILLATOR.states.names[:1],
+    )
     assert len(solves) == 2 * alone
     assert thrice.upper.tolist() == once.upper.tolist()
     assert thrice.lower.tolist() == once.lower.tolist()

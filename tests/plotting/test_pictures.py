@@ -336,7 +336,7 @@ def test_robustness_shows_no_empty_panel():
     lost = FamilyTrial(LostSamples(SCHEDULE, 1, 3), np.inf, False)
     borne = FamilyTrial(LostSamples(SCHEDULE, 1, 8), 3.0, True)
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
-    known = sd.robustness(OSCILLATOR, certificate, budget=1.0)
+    known = sd.robustness(OSCILLATOR, certificate, budget=1e-9)
     none = replace(known, trials=(trial,), losses=(lost,))
     some = replace(known, trials=(trial,), losses=(lost, borne))
     assert len(none.plot()) == 1

@@ -35,7 +35,7 @@ def test_a_csv_file_reads_as_the_page_of_formats_says(tmp_path):
     assert back.outputs is None
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(st.lists(floats, min_size=1, max_size=8, unique=True), st.sampled_from(["ms", "h", "wk"]))
 def test_times_come_back_to_the_last_bit(tmp_path_factory, times, unit):
     folder = tmp_path_factory.mktemp("schedule")

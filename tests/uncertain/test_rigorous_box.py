@@ -112,8 +112,8 @@ def test_no_plant_of_a_box_lies_below_in_fifty_digits(seed):
 def test_the_worst_case_over_a_box_is_proven_too():
     near = UncertainParameter("omega^2", 0.97, 1.03, A=FREQUENCY.A, nominal=1.0)
     plant, family = UncertainPlant(OSCILLATOR, [near]), SpacedWindows(4.0, 3, 0.8)
-    plain = worst_case_sigma(plant, family, rtol=0.15, budget=None)
-    found = worst_case_sigma(plant, family, rtol=0.15, rigorous=True)
+    plain = worst_case_sigma(plant, family, rtol=0.3, budget=None)
+    found = worst_case_sigma(plant, family, rtol=0.3, rigorous=True)
     assert found.closed
     assert plain.lower * (1 - 2e-6) <= found.lower <= plain.lower
     assert "ball arithmetic" in found.claim.theorem

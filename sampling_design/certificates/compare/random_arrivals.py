@@ -197,7 +197,7 @@ def random_arrivals(
     Examples
     --------
     >>> from sampling_design import PeriodicSchedule, Plant, certify
-    >>> swing = certify(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([0.5, 1.5]))
+    >>> swing = certify(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([0.5, 1.5]), eta=0.3)
     >>> found = random_arrivals(swing, 0.1)
     >>> found.contracts[0] > 0.99, random_arrivals(swing, 0.0).contracts
     (True, (1.0, 1.0))

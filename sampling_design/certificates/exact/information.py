@@ -108,7 +108,7 @@ def information_curve(
     --------
     >>> from sampling_design import PeriodicSchedule, Plant, certify
     >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    >>> curve = information_curve(certify(plant, PeriodicSchedule([1.0])))
+    >>> curve = information_curve(certify(plant, PeriodicSchedule([1.0]), eta=0.3))
     >>> bool(1.0 <= curve.least.min() < 1.01)
     True
     """

@@ -29,7 +29,10 @@ class ConeTable:
 
     def put(self, rows: Index, columns: Index, values: Array) -> None:
         """Entries relative to the next row."""
-        i, j, v = np.broadcast_arrays(rows + self.rows, columns, values)
+        shape = np.broadcast(rows, columns, values).shape  # a table has thousands of small ones
+        i, j, v = np.empty(shape, np.intp), np.empty(shape, np.intp), np.empty(shape)
+        np.add(rows, self.rows, out=i)
+        j[...], v[...] = columns, values
         self._entries.append((i.ravel(), j.ravel(), v.ravel()))
 
     def more(self, b: Array) -> int:

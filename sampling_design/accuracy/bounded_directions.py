@@ -125,7 +125,6 @@ class BoundedDirections:
 
         def tried(first: Index, second: Index) -> None:
             """Take pairs (k, t) and (k, t), k of them for each target, where they bound it better."""
-            nonlocal place, share, value
             gram, a, b = cosines[first, second], near[rows, first], near[rows, second]
             det = 1 - gram**2
             alike = det < SAME
@@ -137,13 +136,14 @@ class BoundedDirections:
             combined = np.abs(one) * bounded[first] + np.abs(two) * bounded[second]
             combined += np.abs(left, out=left).sum(axis=-1)
             combined[alike | ~(combined < value)] = np.inf
-            at = np.argmin(combined, axis=0), rows
-            least = combined[at]
-            better = least < value
-            if better.any():
-                place = np.where(better[:, None], np.stack([first[at], second[at]], axis=1), place)
-                share = np.where(better[:, None], np.stack([one[at], two[at]], axis=1), share)
-                value = np.minimum(value, least)
+            which = np.argmin(combined, axis=0)
+            least = combined[which, rows]
+            better = np.flatnonzero(least < value)
+            if better.size:
+                at = which[better], better
+                place[better, 0], place[better, 1] = first[at], second[at]
+                share[better, 0], share[better, 1] = one[at], two[at]
+                value[better] = least[better]
 
         firsts, seconds = list[Index](), list[Index]()
         nearest = np.argmax(size, axis=1)

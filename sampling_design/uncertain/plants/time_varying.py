@@ -325,7 +325,7 @@ class TimeVaryingPlant(Record):
     def _flow_along(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""
         n, unit = self.n_states, self.states.scales
-        G_of = None if spread is None else self.G
+        noise = None if spread is None or self.G is None else (self.G, spread)
 
         def rate(t: float, flat: Array) -> Array:
             A = np.asarray(self.A(t), dtype=float) * unit / unit[:, None]
@@ -333,13 +333,13 @@ class TimeVaryingPlant(Record):
                 raise ArgumentError(
                     f"`A` must be finite on the whole horizon, got {A.ravel()[:4].tolist()} at t = {t!r}."
                 )
-            if G_of is None:  # without noise W stays 0
-                return (A @ flat.reshape(n, n)).ravel()
-            both, G = flat.reshape(2 * n, n), np.asarray(G_of(t), dtype=float) / unit[:, None]
+            if noise is None:  # W stays 0
+                return np.asarray((A @ flat.reshape(n, n)).ravel())
+            both, G = flat.reshape(2 * n, n), np.asarray(noise[0](t), dtype=float) / unit[:, None]
             half = A @ both[n:]
-            return np.vstack([A @ both[:n], half + half.T + G * spread @ G.T]).ravel()
+            return np.vstack([A @ both[:n], half + half.T + G * noise[1] @ G.T]).ravel()
 
-        begin = np.eye(n if G_of is None else 2 * n, n).ravel()
+        begin = np.eye(n if noise is None else 2 * n, n).ravel()
         found = np.zeros((grid.size - 1, 2 * n, n))
         for k, (a, b) in enumerate(pairwise(grid.tolist())):
             both = integrated(rate, a, b, begin, tolerance)[0].reshape(-1, n)

@@ -102,6 +102,6 @@ def flight(plant, c, rng, pairs, reach, gaps):
 
 @pytest.mark.parametrize("name", few(["stirred reactor", "batch reactor"], 0))
 def test_no_pair_of_trajectories_violates_a_nonlinear_certificate(name):
-    worst, stayed, _ = fly(name, 10)
-    assert stayed >= 10
+    worst, stayed, _ = fly(name, 20)
+    assert stayed >= 20
     assert worst <= 1 + 1e-6

@@ -16,8 +16,7 @@ from sampling_design.numerics import conic_programs
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.evidence import SolverRecord
 
-Entries = tuple[Index, Index, Array]
-Block = tuple[str, Entries, Array]
+Block = tuple[str, tuple[Index, Index, Array], Array]
 """Cone, rows and columns and values of -A x, right-hand side: one matrix is made of all of them at once."""
 
 MARGIN = 1e-5

@@ -17,7 +17,6 @@ from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_o
 from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
 from sampling_design.accuracy.undetectable import modes_with
-from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.pbh import unobservable_modes
@@ -81,12 +80,11 @@ class Disproof(PlainRecord):
         return np.asarray(order[:count])
 
     def verify(self) -> bool:
-        """Whether the gains prove the factors, evaluated without a solver."""
+        """Whether the gains prove the factors, and that of all bounds above 1, evaluated without a solver."""
         program = _program(self.readings, self.scales)
-        return all(
-            factor <= 0 or program.growth(which, self.gains[which]) >= factor * (1 - KEPT)
-            for which, factor in self.factors.items()
-        )
+        proven = {which: program.growth(which, own) for which, own in self.gains.items()}
+        kept = all(factor <= 0 or proven[which] >= factor for which, factor in self.factors.items())
+        return kept and min(self.factors["all"], proven["all"]) > 1
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.readings.plant.time_unit
@@ -271,7 +269,7 @@ class Interval(TableRecord, PlainRecord):
         if self.cases:
             return all(case.verify(rigorous) for case in self.cases) and _holds_all(self, self.cases)
         if rigorous:
-            return verdict(self._sealed()).passed
+            return self.verify() and verdict(self._sealed()).passed
         if self.disproof is not None:
             return bool(np.isnan(self.upper).all()) and self.disproof.verify()
         program = _program(self.readings, self.scales)
@@ -282,7 +280,7 @@ class Interval(TableRecord, PlainRecord):
                 proven = own.value
                 if self.outer is not None:
                     proven = min(proven, sign * self.outer[k, 1 - side])
-                if not proven <= sign * ends[k, 1 - side] + KEPT * (self.upper[k] - self.lower[k]):
+                if not proven <= sign * ends[k, 1 - side]:
                     return False
         return True
 

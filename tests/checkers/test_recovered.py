@@ -193,6 +193,31 @@ def test_sizes_and_order_are_derived(whole, place, value, words):
     assert words in verdict["reason"]
 
 
+@pytest.mark.parametrize("other", [None, -1e300, "as it was"])
+def test_an_end_is_proven_whatever_the_other_end_is(whole, other, tmp_path):
+    """Both routes, with rounding or without, take no width of the file for room."""
+    data = copy.deepcopy(whole[1])
+    data["lower"][0] = data["lower"][0] if other == "as it was" else other
+    for less, proven in ((0.0, True), (1e-3, False), (1e3, False)):
+        forged = copy.deepcopy(data)
+        forged["upper"][0] -= less
+        path = tmp_path / "forged.json"
+        path.write_text(json.dumps(with_digest(forged)))
+        again = Interval.read(path)
+        assert [check(forged)["passed"], again.verify(), again.verify(rigorous=True)] == [proven] * 3
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5, 1.0])
+def test_data_within_the_bounds_contradict_nothing(whole, factor, tmp_path):
+    data = copy.deepcopy(whole[1])
+    none, gains = [None, None], [0.0] * len(data["gains"][0][0])
+    proof = {"factors": {"all": factor, "w": 0.0, "v": 0.0}, "gains": dict.fromkeys(("all", "w", "v"), gains)}
+    path = tmp_path / "forged.json"
+    path.write_text(json.dumps(with_digest(data | {"lower": none, "upper": none, "disproof": proof})))
+    again = Interval.read(path)
+    assert (check(from_json(path.read_text()))["passed"], again.verify(), again.verify(rigorous=True)) == (False,) * 3
+
+
 def test_a_row_has_its_name_where_states_have_none(whole):
     """What has no name is called x1, x2 by whoever reads the file."""
     data = copy.deepcopy(whole[1])

@@ -41,6 +41,23 @@ def test_a_schedule_may_be_moved_where_the_same_is_measured_whenever_it_is():
     assert not replace(case, available=(None, None), chosen=np.eye(3, 2, dtype=bool)).is_shift_invariant
 
 
+@pytest.mark.parametrize("kind", ["hours", "hours of one output", "fixed"])
+def test_canonical_periods_begin_where_those_of_the_requirement_do(kind):
+    """A time that rounding leaves just before the end of a period is at its beginning."""
+    rng, plant, none = np.random.default_rng(7), Plant(OSCILLATOR.A, np.eye(2)), np.zeros((0, 2))
+    for _ in range(100):
+        period, window = rng.uniform(1.0, 9.0, size=2)
+        hours = period * np.sort(rng.uniform(size=(1, 2)))
+        bare = DesignProblem(plant, window, period, 0.1 * period, 2, none, np.zeros(0), (None, None))
+        case = {
+            "hours": replace(bare, forbidden=hours),
+            "hours of one output": replace(bare, available=(hours, None)),
+            "fixed": replace(bare, fixed=hours[0, :1]),
+        }[kind]
+        assert abs(case.origin - hours).min() <= 1e-9 * period
+        assert canonical(case).inside.origin == 0
+
+
 def test_a_window_that_is_given_is_taken_as_it_is():
     exact, used, _ = resolve(split_modes(OSCILLATOR), Requirement(window=4.0))
     assert (exact.window, exact.timing_tolerance) == (4.0, 0.0)

@@ -197,10 +197,11 @@ class DesignProblem:
     def _begin(self) -> tuple[float, float]:
         P = self.period
         points = np.unique(np.concatenate([self.breakpoints[:-1], self.fixed]))
-        points = points[np.append(True, np.diff(points) > P / _TURNED)]
+        points = points[np.append(True, np.diff(points) > P / _TURNED) & (points < P - P / _TURNED)]  # there it is 0
         there = self.mask((points + np.append(points[1:], P)) / 2)
         codes = np.unique(there, axis=0, return_inverse=True)[1].reshape(-1)
-        pinned = np.any(np.abs(points[:, None] - self.fixed) <= P / _TURNED, axis=1)
+        away = np.mod(points[:, None] - self.fixed + P / 2, P) - P / 2
+        pinned = np.any(np.abs(away) <= P / _TURNED, axis=1)
         real = np.flatnonzero(pinned | (codes != np.roll(codes, 1)))
         if not real.size:
             return 0.0, 0.0

@@ -149,7 +149,7 @@ def followed(
                             each.put(block)
                     if envelope is not None:
                         flags = np.array([(e.certified, e.failed) for e in some], dtype=bool).T
-                        envelope.add(block.times, block.x, block.around, *flags)
+                        envelope = envelope.including(block.times, block.x, block.around, *flags)
                 if columns is None:
                     for estimate in some:
                         counted.add(estimate.t, estimate)

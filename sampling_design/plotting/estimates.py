@@ -164,7 +164,7 @@ def draw_estimates(
     """
     envelope = EstimateEnvelope.over(record.plant, record.times)
     failed = np.array([status in FAILURES for status in record.status], dtype=bool)
-    envelope.add(record.times, record.x, record.ellipsoid_radii, record.certified, failed)
+    envelope = envelope.including(record.times, record.x, record.ellipsoid_radii, record.certified, failed)
     return draw_envelope(envelope, ax, measurements, record.origin)
 
 

@@ -56,11 +56,16 @@ class _RecordType(ABCMeta):
 
         def __call__(cls, *arguments: object, **options: object) -> object:
             try:
-                return super().__call__(*arguments, **options)
+                made = super().__call__(*arguments, **options)
             except TypeError as error:
                 if within() or error.__traceback__.tb_next is not None:
                     raise
                 raise misfit(cls.__init__, (cls, *arguments), options, error) from None
+            for name, value in vars(made).items():  # whoever made it may go on with an array of their own
+                if type(value) is np.ndarray and value.flags.writeable:
+                    vars(made)[name] = owned = value.copy()
+                    owned.flags.writeable = False
+            return made
 
 
 class Displayable:

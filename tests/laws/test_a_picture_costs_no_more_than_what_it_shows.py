@@ -60,7 +60,7 @@ def envelope(count, start=1.0, stretches=600):
     radii = np.abs(radii) + 0.1
     radii[: count // 10] *= start
     found = EstimateEnvelope.over(PLANT, times, stretches)
-    found.add(times, x, radii, np.ones(count, dtype=bool), np.zeros(count, dtype=bool))
+    found = found.including(times, x, radii, np.ones(count, dtype=bool), np.zeros(count, dtype=bool))
     return found, times, x, radii
 
 

@@ -131,6 +131,7 @@ def test_no_result_is_forgotten(kind):
 @pytest.mark.parametrize("name", MADE)
 def test_five_things_stand_in_one_order(name):
     found = MADE[name]()
+    assert [key for key, value in vars(found).items() if getattr(value, "flags", None) and value.flags.writeable] == []
     assert [label for label, _ in found._answered()] == list(ANSWERS)
     said = dict(found._answered())
     assert said["evidence"].split(":")[0].split()[0] in ("proven", "attained", "sampled", "nothing")

@@ -361,7 +361,9 @@ def test_what_was_read_and_estimated_at_a_wide_start_is_in_the_picture():
     found = EstimateEnvelope.over(tank, np.arange(8.0))
     x = 10 * np.exp(-np.arange(8.0))[:, None]
     flags = np.ones(8, dtype=bool)
-    found.add(np.arange(8.0), x, np.full((8, 1), 0.1) + 90 * (np.arange(8.0) == 0)[:, None], flags, ~flags)
+    found = found.including(
+        np.arange(8.0), x, np.full((8, 1), 0.1) + 90 * (np.arange(8.0) == 0)[:, None], flags, ~flags
+    )
     read = sd.Measurements(tank, np.arange(8.0), x + np.eye(8)[:, :1])
     high = plotting.draw(found, measurements=read)[0].get_ylim()[1]
     assert 11.0 < high < 20.0

@@ -79,3 +79,14 @@ def test_a_record_that_nothing_draws_says_so(monkeypatch):
     monkeypatch.setattr(record, "offered", lambda *asked: None)
     with pytest.raises(ArgumentError, match="`record` has no picture: nothing that draws a int is installed"):
         record.draw(3)
+
+
+def test_arrays_of_a_record_are_copies_that_nobody_writes_to():
+    """Who made a record by hand goes on with arrays of their own: an estimator steps its state in place."""
+    state = np.array([1.0, 2.0])
+    made = Sample(state)
+    state += 1.0
+    assert made.value.tolist() == [1.0, 2.0]
+    with pytest.raises(ValueError, match="read-only"):
+        made.value[0] = 3.0
+    assert Sample(made.value).value is made.value  # what nobody can write to is not copied again

@@ -52,7 +52,7 @@ class EstimateEnvelope(Record):
 
     @classmethod
     def over(cls, plant: Plant, times: npt.ArrayLike, stretches: int = STRETCHES) -> EstimateEnvelope:
-        """Return an envelope of nothing yet for estimates at some times; `add` fills it in place."""
+        """Return an envelope of nothing yet for estimates at some times; `including` takes them in."""
         places, length = np.unique(np.asarray(times, dtype=float)), 0.0
         if places.size > stretches:
             length = float((places[-1] - places[0]) / stretches)
@@ -65,16 +65,19 @@ class EstimateEnvelope(Record):
         """Where stretches begin, and where the last one ends (K + 1,)."""
         return np.append(self.times - self.length / 2, self.times[-1:] + self.length / 2)
 
-    def add(self, times: Array, x: Array, radii: Array, certified: Mask, failed: Mask) -> None:
-        """Take in estimates x (N, n) at some of the times, with their radii (N, n) and whether proven or failed."""
+    def including(self, times: Array, x: Array, radii: Array, certified: Mask, failed: Mask) -> EstimateEnvelope:
+        """Return it with estimates x (N, n) at some of the times, their radii (N, n) and whether proven or failed."""
         begin = self.times if self.length == 0 else self.edges[:-1]
         at = np.maximum(np.searchsorted(begin, times, side="right") - 1, 0)
-        np.fmin.at(self.lowest, at, x)
-        np.fmax.at(self.highest, at, x)
         around = np.where(np.isfinite(radii) & certified[:, None], radii, np.nan)
-        np.fmin.at(self.lower, at, x - around)
-        np.fmax.at(self.upper, at, x + around)
-        np.logical_or.at(self.failed, at, failed)
+        lowest, highest, lower, upper = np.array([self.lowest, self.highest, self.lower, self.upper])
+        fails = self.failed.copy()
+        np.fmin.at(lowest, at, x)
+        np.fmax.at(highest, at, x)
+        np.fmin.at(lower, at, x - around)
+        np.fmax.at(upper, at, x + around)
+        np.logical_or.at(fails, at, failed)
+        return replace(self, lowest=lowest, highest=highest, lower=lower, upper=upper, failed=fails)
 
     def _rows(self) -> list[tuple[str, str]]:
         edges = self.edges

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 
 from sampling_design import PeriodicSchedule, Plant
 from sampling_design.observability.count import loss_tolerance as room
@@ -136,3 +136,35 @@ def test_too_many_sets_leave_the_zero_count(monkeypatch):
     assert found.periods == 0
     assert found.lower == pytest.approx(0.533488, rel=1e-5)
     assert found.upper == found.limit
+
+
+def turned(seed, blocks, C):
+    """The plant of the blocks in other coordinates: as they are, mixed, or in units far apart."""
+    rng, A = np.random.default_rng([29, seed]), block_diag(*blocks)
+    T = np.eye(len(A)) if seed % 3 == 0 else rng.standard_normal(A.shape)
+    T = T * 10.0 ** (seed % 3 // 2 * rng.integers(-3, 4, (len(A), 1)))
+    back = np.linalg.inv(T)
+    return Plant(T @ A @ back, C @ back)
+
+
+SPIRALS = {growth: np.array([[growth, 2.0], [-2.0, growth]]) for growth in (0.0, 0.1)}
+HALF_TURNS = [1], [1, 1], [3, 1]
+
+
+@pytest.mark.parametrize("seed", few(range(12), 1))
+def test_samples_half_turns_apart_bear_nothing_however_many_there_are(seed):
+    for growth, spiral in SPIRALS.items():
+        for turns, beside in zip(HALF_TURNS, ([], [[[-0.3]]], [[[growth / 2]]]), strict=True):
+            C = np.array([[1.0, 0.0] + [0.7] * len(beside)])
+            plant = turned(seed, [spiral, *beside], C)
+            found = loss_tolerance(plant, PeriodicSchedule(QUARTER * np.array(turns), first=0.3))
+            assert found.lower == 0
+            assert not growth or found.upper == 0
+
+
+@pytest.mark.parametrize("seed", few(range(60), 35))
+def test_an_output_that_shows_what_decays_alone_bears_no_more(seed):
+    seen, blind = [0.5, 0.3, -0.2], [0.0, 0.4, 0.9]
+    plant = turned(seed, [[[0.1]], SPIRALS[0.0] - 0.3 * np.eye(2)], np.array([seen, blind]))
+    found = loss_tolerance(plant, PeriodicSchedule([0.5, 0.8], outputs=[[True, True], [False, True]]))
+    assert found.lower == found.upper == pytest.approx(np.exp(-0.2 * 1.3))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sampling_design.numerics.balancing import balance
 from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.observability.alignment import align
@@ -177,9 +178,8 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     (0.533, 0.658, 0.73)
     """
     schedule = align(plant, schedule)
-    kept = split_modes(plant).retained
+    kept = _shown(plant)
     density = len(schedule) / schedule.period
-    values = np.linalg.eigvals(kept.A) if kept.n_states else np.zeros(0)
     growth, rounding = _fastest(kept)
     require_observable(plant, "a loss tolerance", 0.0)
     everything = bool(schedule.outputs is None or schedule.outputs.all())
@@ -188,8 +188,8 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     for count, (most, _) in hidden.items():
         lower = max(lower, _borne(growth, count * schedule.period, count * len(schedule) - most))
     if everything:
-        spread = 2 * float(np.max(np.abs(values.imag), initial=0.0))
-        lower = max(lower, _borne(growth, 1.0, density - spread / (2 * np.pi)))
+        left = density - 2 * _fastest_turn(kept) / (2 * np.pi)
+        lower = max(lower, _borne(growth, 1.0, left if left > NEARLY_HIDDEN * density else 0.0))
     limit = _borne(growth, 1.0, density)
     upper, times = limit, np.zeros(0)
     if periods:
@@ -229,6 +229,19 @@ def _fastest(plant: Plant) -> tuple[float, float]:
     return growth, rounding
 
 
+def _fastest_turn(plant: Plant) -> float:
+    """The largest frequency of a mode that rounding leaves possible."""
+    clusters = eigenvalue_clusters(plant.A) if plant.n_states else ()
+    return max((float(np.max(np.abs(c.members.imag))) + c.uncertainty for c in clusters), default=0.0)
+
+
+def _shown(plant: Plant) -> Plant:
+    """The modes that do not decay, without what outputs show of them within `NEARLY_HIDDEN` of what was added up."""
+    split = split_modes(plant)
+    part, added = split.retained, np.abs(plant.C) @ np.abs(split.basis_retained)
+    return Plant(part.A, np.where(np.abs(part.C) > NEARLY_HIDDEN * added, part.C, 0.0))
+
+
 def _borne(growth: float, time: float, samples: float) -> float:
     """exp(-2 a time/samples): the largest loss probability for which p^samples e^{2 a time} < 1; 0 without samples."""
     if samples <= 0:
@@ -242,16 +255,18 @@ def _times(schedule: PeriodicSchedule, samples: frozenset[int]) -> Array:
 
 
 def hidden_rows(plant: Plant, schedule: PeriodicSchedule, periods: int, growth: float) -> Array:
-    """C e^{(A - a I) t} of every sample, (N, p, n): columns of one size, each row of length 1 or nothing at all."""
+    """C e^{(A - a I) t} of every sample, (N, p, n), in balanced states: each row of length 1 or nothing at all.
+
+    States that drive each other keep the sizes that their dynamics give them: by columns of one size, what rounding
+    shows of a state that no sample sees would count as a reading.
+    """
     tau = schedule.times - schedule.times[0]
     times = (tau + schedule.period * np.arange(periods)[:, None]).ravel()
     rows = exponential(plant.A - growth * np.eye(plant.n_states)).rows(plant.C, times)
     if schedule.outputs is not None:
         rows = rows * np.tile(schedule.outputs, (periods, 1))[:, :, None]
-    for _ in range(2):
-        rows = rows / positive_or_one(np.sqrt(np.sum(rows**2, axis=(0, 1))))
-        rows = rows / positive_or_one(np.linalg.norm(rows, axis=2))[:, :, None]
-    return np.asarray(rows)
+    rows = rows * balance(plant.A, plant.C).d
+    return np.asarray(rows / positive_or_one(np.linalg.norm(rows, axis=2))[:, :, None])
 
 
 def _hidden(
@@ -318,10 +333,12 @@ def _repeating(
     slower = [v.real for v in values if v.real < growth - alike]
     line = (growth + max(slower, default=growth - 2 * max(growth, alike))) / 2
     moved = Plant(plant.A - line * np.eye(plant.n_states), plant.C)
-    fast = split_modes(moved).retained
+    fast = _shown(moved)
+    d = balance(fast.A, fast.C).d
     best: tuple[int, frozenset[int]] | None = None
     for count in range(1, MOST_PERIODS + 1):
         turned = exponential(fast.A - (growth - line) * np.eye(fast.n_states))([count * schedule.period])[0]
+        turned = turned * d / d[:, None]
         if np.max(np.abs(turned - turned[0, 0] * np.eye(fast.n_states))) > NEARLY_HIDDEN * max(1.0, abs(turned[0, 0])):
             continue  # not every direction comes back; whether the hidden one does is not asked
         largest = largest_hidden(hidden_rows(fast, schedule, count, growth - line))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, remade
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -164,9 +164,10 @@ def accuracy_by_count(
         raise ArgumentError("`counts` must hold a number of samples, got none: give (0, 4), say.")
     length, rows = checks.positive("period", period), requested_rows(plant, of)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
+    blind = remade(plant, C=0 * plant.C)
     found = []
     for done, k in enumerate(many):
-        asked, noise, wanted = (plant, v_bound, of) if k else (replace(plant, C=0 * plant.C), 1.0, rows.matrix)
+        asked, noise, wanted = (plant, v_bound, of) if k else (blind, 1.0, rows.matrix)
         schedule = PeriodicSchedule([length / max(k, 1)], time_unit=plant.time_unit)
         share = limit.seconds_left(LEAST, 1 / (len(many) - done))
         found.append(

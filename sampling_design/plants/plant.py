@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -335,7 +335,7 @@ class Plant(Record):
         checks.known_keys("`drift`", moving, names)
         own = np.array([[float(name == other) for other in moving] for name in names]).reshape(k, len(moving))
         words = [f"{name}_drift" for name in moving]
-        return replace(
+        return remade(
             self, A=np.block([[self.A, np.column_stack(E_columns)], [np.zeros((k, n + k))]]),
             C=np.hstack([self.C, np.column_stack(F_columns)]), B=np.vstack([self.B, np.zeros((k, self.n_inputs))]),
             G=np.block([[self.G, np.zeros((n, len(moving)))], [np.zeros((k, self.n_disturbances)), own]]),
@@ -480,9 +480,11 @@ def signals_of(key: str, value: Signals | Sequence[str] | None, size: int, prefi
     return Signals(checks.names(key, value, size, prefix))
 
 
+def remade(plant: Plant, **others: Array | Signals | None) -> Plant:
+    """Return a plant of its own with other matrices or signals, part of none even where that one is a part."""
+    return Plant(**{**{each.name: getattr(plant, each.name) for each in fields(Plant)}, **others})
+
+
 def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:
     """Return the plant of q = onto x, with the matrices that it has there."""
-    return Plant(
-        A, C, B=onto @ plant.B, D=plant.D, G=onto @ plant.G, time_unit=plant.time_unit, name=plant.name, states=states,
-        outputs=plant.outputs, inputs=plant.inputs, disturbances=plant.disturbances, source=plant.source,
-    )  # fmt: skip
+    return remade(plant, A=A, C=C, B=onto @ plant.B, G=onto @ plant.G, states=states)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import pairwise
 from operator import itemgetter
 
@@ -26,7 +25,7 @@ from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, forced_flow
-from sampling_design.plants.plant import Signals
+from sampling_design.plants.plant import Signals, remade
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.uncertain.accuracy.accuracy_over_box import mismatch, moved
@@ -250,7 +249,7 @@ class NominalFilter(KalmanFilter):
         size = np.concatenate([np.linalg.norm(rows * nominal.states.scales, axis=1), known])
         size = np.where(size > 0, size, 1.0) * checks.positive("typical", typical)
         q = (energy if 0 < energy < np.inf else 1.0) / size**2
-        wide = replace(
+        wide = remade(
             nominal,
             G=np.hstack([nominal.G, into]),
             disturbances=Signals([*nominal.disturbances.names, *(f"mismatch {k + 1}" for k in range(into.shape[1]))]),

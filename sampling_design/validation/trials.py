@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator, estimate_from
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, remade
 from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import ErrorSources
@@ -21,7 +21,7 @@ GROWTH = 3.0  # a truth that would grow by more than e^3 in a run is held near z
 def driven(plant: Plant) -> Plant:
     """Return the plant with an input on every state in place of its own: only that moves an unstable truth about."""
     n = plant.n_states
-    return replace(plant, B=np.eye(n), D=np.zeros((plant.n_outputs, n)), inputs=None)
+    return remade(plant, B=np.eye(n), D=np.zeros((plant.n_outputs, n)), inputs=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,3 +83,14 @@ def test_what_ball_arithmetic_proves_has_the_same_beside_it_or_nothing():
     assert found.rigorous
     assert found.lower > 0.1
     assert found.deviations is None
+
+
+@pytest.mark.parametrize("start", [None, 1.0, 1.05])
+@pytest.mark.parametrize("tolerance", [0.0, 0.1, (0.0, 0.2)])
+def test_a_finite_schedule_of_one_window_says_what_is_left_wherever_it_starts(start, tolerance):
+    """Longer windows hold what was planned in the shorter ones, so they begin before `start` by the time they allow."""
+    schedule = sd.Schedule([1.0, 2.0, 3.5, 4.0, 6.0])
+    window = schedule.times[-1] - (start or 1.0)
+    found = sd.window_sigma(OSCILLATOR, schedule, window, start=start, timing_tolerance=tolerance)
+    left = found.to_dict()["deviations"]
+    assert 0 < left["late"] <= left["late_wider"] <= found.lower

@@ -18,6 +18,8 @@ from sampling_design import (
     Schedule,
     SetMembershipEstimator,
     SpacedWindows,
+    UncertainParameter,
+    UncertainPlant,
     certificate_exists,
     certify,
     design_schedule,
@@ -30,6 +32,7 @@ from sampling_design import (
     worst_case_sigma,
     zero_count_bound,
 )
+from sampling_design.accuracy import accuracy_by_count
 from sampling_design.certificates import certify_detectability
 from sampling_design.design import design_and_losses
 from sampling_design.errors import (
@@ -178,7 +181,6 @@ def test_a_certificate_of_rows_states_the_exact_supremum_of_the_whole_plant(seed
 
 
 def test_other_kinds_of_plants_refuse_rows_in_a_sentence():
-    from sampling_design import UncertainParameter, UncertainPlant
     from sampling_design.nonlinear import NonlinearMovingHorizonEstimator
     from sampling_design.nonlinear.examples import van_der_pol
 
@@ -200,3 +202,18 @@ def test_what_a_part_of_a_part_says_is_said_of_the_whole(tmp_path):
     again = read_certificate(made.save(tmp_path / "c.json"))
     assert again.verify()
     assert KalmanFilter(THREE, again, of="x1", **BOUNDS).run(RECORD.measurements).certified.all()
+
+
+def test_a_part_is_asked_like_any_plant():
+    """What puts other matrices in the place of a part's asks about another plant, which is part of none."""
+    part = functional_plant(THREE, "x1")
+    counts = {"period": 4.0, "w_bound": 0.1, "v_bound": 0.2, "of": "x1", "rtol": 0.01}
+    steady = functional_plant(Plant(np.diag([-0.1, -0.2, -1.0]), [[1.0, 0.0, 0.5]]), "x1")
+    found = accuracy_by_count(steady, (0, 2), **counts)
+    np.testing.assert_allclose(found.upper, accuracy_by_count(steady.whole, (0, 2), **counts).upper, rtol=0.02)
+    bounds = {"w_bound": 0.1, "v_bound": 0.2, "rng": 0}
+    made = certify(steady, EVERY_SECOND, eta=0.05)
+    assert validate(steady, EVERY_SECOND, made, runs=2, duration=4.0, scenarios=("estimator",), **bounds).passed
+    assert part.augmented(bias=part.outputs.names).n_states == part.n_states + part.n_outputs
+    corner = UncertainPlant(part, [UncertainParameter("k", 0.0, 0.1, A=np.eye(2), nominal=0.0)]).at([0.1])
+    np.testing.assert_array_equal(corner.A, part.A + 0.1 * np.eye(2))

@@ -77,15 +77,17 @@ def left_of_sigma(
     limit = Budget(seconds)
     gap = SamplingSet(schedule).min_gap
     tolerance = asked or TimingTolerance.of(SHARE * (gap if np.isfinite(gap) else window))
+    sooner = None if start is None else start - tolerance.radius  # what is wider begins as much before
 
-    def left(length: float) -> float:
+    def left(length: float, start: float | None) -> float:
         if length <= 2 * tolerance.radius:
             return 0.0
         return min(sigma, least(window_pieces(schedule, length, start, tolerance), limit.left, np.inf)[0])
 
     fewer, worst = lost(window_pieces(schedule, window, start, asked), limit)
-    wider = 0.0 if limit.over else left(window + 2 * tolerance.radius)
-    late = sigma if asked or limit.over else left(window)
+    # what is longer from where a window starts sees no less: where sigma is of late samples, longer windows have it too
+    wider = sigma if asked else 0.0 if limit.over else left(window + 2 * tolerance.radius, sooner)
+    late = sigma if asked or limit.over else left(window, start)
     if limit.over:
         return None
     return SigmaDeviations(tolerance, late, wider, min(fewer, sigma), worst, time_unit, bool(asked))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -15,7 +15,7 @@ from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import align
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant, Signals, remade
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -202,7 +202,7 @@ def _cell(
     if not np.all(np.isfinite(up)):
         return low[:count], np.full(count, np.inf)
     extra = np.hstack([centre.G, *into, *driven])
-    wide = replace(centre, G=extra, disturbances=Signals([f"d{k}" for k in range(extra.shape[1])]))
+    wide = remade(centre, G=extra, disturbances=Signals([f"d{k}" for k in range(extra.shape[1])]))
     for factor in GUESSES:
         beta = factor * up[count:]
         noise = v + sum(

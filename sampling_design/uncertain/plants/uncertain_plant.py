@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_flag
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant, Signals, remade
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import Seed
@@ -170,11 +170,11 @@ class UncertainPlant(LinearInclusion, PlainRecord):
             if np.any(theta < 0) or abs(float(theta.sum()) - 1) > 1e-12:
                 raise ArgumentError("`values` of a plant between vertices must be shares that sum to 1.")
             found = {key: np.tensordot(theta, np.array([getattr(v, key) for v in self.vertices]), 1) for key in _MOVED}
-            return replace(self.nominal, A=found["A"], C=found["C"], G=found["G"])
+            return remade(self.nominal, A=found["A"], C=found["C"], G=found["G"])
         for each, value in zip(self.parameters, theta.tolist(), strict=True):
             if not each.low <= value <= each.high:
                 raise ArgumentError(f"`values` must lie in the ranges, got {each.name} = {value!r} outside.")
-        return replace(self.nominal, A=self._matrix("A", theta), C=self._matrix("C", theta), G=self._matrix("G", theta))
+        return remade(self.nominal, A=self._matrix("A", theta), C=self._matrix("C", theta), G=self._matrix("G", theta))
 
     def _matrix(self, key: str, theta: Array) -> Array:
         found: Array = getattr(self.nominal, key)

@@ -18,7 +18,7 @@ from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, Rec
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
 from sampling_design.accuracy.undetectable import modes_with
 from sampling_design.checkers.check import verdict
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
@@ -29,6 +29,7 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, TableRecord, counted, moment, short
 from sampling_design.records.signatures import checked
 
+LARGEST = 1e100  # number of a plant in coordinates: its third powers are doubles
 MOSTLY = 0.9  # share of a contradiction that the samples named with it make
 
 
@@ -105,6 +106,10 @@ class Disproof(PlainRecord):
 
 
 def _program(readings: Readings, scales: Array) -> RecordProgram:
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.hstack([readings.A * scales, readings.G]) / scales[:, None]
+    if not np.all(np.abs(scaled) < LARGEST):
+        raise UndecidedError("undecided: in coordinates of these `scales` the plant is beyond the range of doubles")
     return RecordProgram(readings, GapTable(readings.A, readings.G, scales))
 
 

@@ -177,7 +177,7 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
     if len(read["P"]) != nodes.size:
         raise refuse("P", f"must hold one matrix per node, {nodes.size}, got {len(read['P'])}")
     P = np.array([symmetric(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
-    model, jumps = model_of(read["model"], plant), jumps_of(graph, nodes, starts)
+    model, jumps = model_of(read["model"], plant), jumps_of(graph, nodes, starts, len(plant.C))
     found = Inclusion(plant, weights, model, family, graph, nodes=nodes, P=P, jumps=jumps, multipliers=None)
     return found if read["multipliers"] is None else with_multipliers(found, read["multipliers"])
 
@@ -208,7 +208,7 @@ def graph_of(stated: list[list[float]] | None, listed: list[list[object]], famil
     return Graph(words, tuple(edges), ())
 
 
-def jumps_of(graph: Graph, nodes: Array, starts: Index) -> Jumps:
+def jumps_of(graph: Graph, nodes: Array, starts: Index, outputs: int) -> Jumps:
     """All samples to be proven: at every node within an edge, and at the end of a first gap that no longer one holds.
 
     Before its first sample a schedule is so far in a gap that it ends as that sample comes: only its end counts.
@@ -231,7 +231,7 @@ def jumps_of(graph: Graph, nodes: Array, starts: Index) -> Jumps:
         for node in at[(nodes[at] >= low) & (nodes[at] <= edge.high)].tolist():
             found[node, int(starts[edge.target - skip]), edge.outputs] = None
     later, base, measured = zip(*found, strict=True) if found else ((), (), ())
-    return Jumps(np.array(later, int), np.array(base, int), np.array(measured, bool).reshape(len(later), -1))
+    return Jumps(np.array(later, int), np.array(base, int), np.array(measured, bool).reshape(len(later), outputs))
 
 
 def with_multipliers(c: Inclusion, read: list[list[list[float]]]) -> Inclusion:

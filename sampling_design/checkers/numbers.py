@@ -17,6 +17,8 @@ EPS = float(np.finfo(float).eps)  # twice the rounding of one operation: what is
 SAFE = 1e-140, 1e140  # sizes of numbers of which no product of two underflows or overflows
 RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
 MOST_EXACT = 40  # states up to which a matrix that floats leave open is decided in rational numbers
+MOST_ROWS = 2048  # eliminated from Qw in rational numbers, which grow: all of 64 coupled disturbances, some 6 s
+TOO_COUPLED = "Qw couples more disturbances than rational numbers can invert in a check"
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,7 @@ def inner(G: Array, Qw: Array, units: Array) -> Array:
     form = [[(Fraction(Qw[i, j]) + Fraction(Qw[j, i])) / 2 for j in range(q)] for i in range(q)]
     drive = [[Fraction(g) / Fraction(u) for g, u in zip(column, units, strict=True)] for column in G.T.tolist()]
     found = [[Fraction(0)] * n for _ in range(n)]
+    eliminated = 0
     for k in range(q):
         pivot = form[k][k]
         if pivot < 0 or (pivot == 0 and any(form[k][k + 1 :])):
@@ -122,7 +125,11 @@ def inner(G: Array, Qw: Array, units: Array) -> Array:
             continue
         for a, b in ((a, b) for a in range(n) if drive[k][a] for b in range(n)):
             found[a][b] += drive[k][a] * drive[k][b] / pivot
-        for i in (i for i in range(k + 1, q) if form[i][k]):
+        coupled = [i for i in range(k + 1, q) if form[i][k]]
+        eliminated += len(coupled)
+        if eliminated > MOST_ROWS:
+            raise Undecided("Qw > 0", TOO_COUPLED)
+        for i in coupled:
             share = form[i][k] / pivot
             form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
             drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]

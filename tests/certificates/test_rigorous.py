@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
 from sampling_design.certificates.paper.proof_constants import certify_from_proof
+from sampling_design.certificates.rigorous import ball_problem
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, noise
 from sampling_design.certificates.rigorous.ball_proof import long_run, settled
 from sampling_design.certificates.rigorous.decide import (
@@ -23,8 +24,9 @@ from sampling_design.certificates.rigorous.decide import (
     verify_rigorously,
 )
 from sampling_design.certificates.rigorous.refutation import RefutationSearch, fails_at, refute
+from sampling_design.checkers import numbers
 from sampling_design.checkers.claims import certificate as content
-from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.errors import CertificateError, MissingExtraError
 from sampling_design.numerics import balls
 from sampling_design.numerics.filtering import propagate
@@ -288,6 +290,17 @@ def test_noise_is_eliminated_exactly():
     with balls.precision():
         assert np.allclose(balls.floats(noise(G, Qw)), G @ np.linalg.solve(Qw, G.T), rtol=1e-9)
         assert noise(np.zeros((0, 0)), np.zeros((0, 0))).nrows() == 0
+
+
+@pytest.mark.parametrize("exact", [lambda G, Qw: numbers.inner(G, Qw, np.ones(len(G))), noise])
+def test_rows_that_are_eliminated_in_rational_numbers_are_counted(exact, monkeypatch):
+    """Their digits grow with each: a hundred coupled disturbances would take half a minute."""
+    for module in (numbers, ball_problem):
+        monkeypatch.setattr(module, "MOST_ROWS", 5)
+    with balls.precision():
+        exact(np.eye(6), np.kron(np.eye(3), [[2.0, 1.0], [1.0, 2.0]]))  # in pairs: three rows
+        with pytest.raises(Undecided, match="Qw couples more disturbances than rational numbers can invert in a check"):
+            exact(np.eye(4), np.eye(4) + 1.0)  # six
 
 
 def test_a_channel_that_does_not_drive_may_be_without_weight():

@@ -22,7 +22,7 @@ from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import from_json
 from sampling_design.cli import files
 from sampling_design.cli.app import app
-from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.observability import functional_plant
 from tests.cases import few
 from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
@@ -295,6 +295,15 @@ def gains_at(found, gains, k):
 def recovered_parts(found):
     c = claims.certificate(found._sealed())
     return recovered.BackwardRecursion(c, recovered.WorkLimit(np.inf)).run(c.rows, c.gains[:, 0]).ends()[0][0]
+
+
+def test_coordinates_beyond_doubles_are_said(whole, tmp_path):
+    data = copy.deepcopy(whole[1])
+    data["scales"][:2] = [1e-308, 1e308]
+    (tmp_path / "forged.json").write_text(json.dumps(with_digest(data)))
+    found = Interval.read(tmp_path / "forged.json")
+    with pytest.raises(UndecidedError, match="in coordinates of these `scales` the plant is beyond the range"):
+        found.verify()
 
 
 def proven(data, work=np.inf):

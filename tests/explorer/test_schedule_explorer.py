@@ -117,10 +117,9 @@ def test_marks_of_two_sensors_at_one_time_are_one_sample():
 
 
 def test_nothing_that_small_moves_mend_says_so():
-    slow = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], time_unit="s")
-    bench = ScheduleExplorer(
-        slow, sd.Requirement(window=4.0, period=4.0), sd.PeriodicSchedule([2.0, 2.0], time_unit="s")
-    )
+    slow = sd.Plant(np.zeros((2, 2)), np.eye(2), time_unit="s")
+    one_alone = sd.PeriodicSchedule([2.0, 2.0], outputs=[[True, False]] * 2, time_unit="s")
+    bench = ScheduleExplorer(slow, sd.Requirement(window=4.0, period=4.0), one_alone)
     assert "observable from no sample" in bench.answer({"ask": "sigma"})["messages"][0]
     assert bench.answer({"ask": "repair"})["said"] == "No small move of one sample repairs it: add one."
 

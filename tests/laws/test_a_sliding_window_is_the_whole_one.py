@@ -45,7 +45,7 @@ def difference(one, other):
     off = [np.max(np.abs(one.x - other.x) / np.maximum(size, SAME * np.abs(other.x)))]
     off.append(np.max(np.abs(one.Y - other.Y) / np.outer(size, size)))
     off.append(abs(one.cost - other.cost) / max(other.cost, 1e-300))
-    found, judged = one.found, other.found
+    found, judged = one.outcome, other.outcome
     if np.isfinite(judged.beta):
         off.append(abs(found.beta - judged.beta) / judged.beta)
     assert found.status == judged.status

@@ -80,6 +80,8 @@ def forged_files(kind):
             yield f"{key} {label}", whole | {key: changed}, wrong or None
     if "graph" not in whole:
         yield "too fast", fast(whole), None
+    if "graph" in whole or "model" in whole:
+        yield "no edges", whole | {"graph": {"words": [[], []]} | whole.get("graph", {}) | {"edges": []}}, None
     words = whole.get("graph", {}).get("words")
     for word in ([0.5], [7.0], [0.0, 2.0], [0.0, 0.2, 0.1], []) if words and kind != "inclusion" else ():
         yield f"word {word}", whole | {"graph": whole["graph"] | {"words": [*words[:-1], word]}}, True

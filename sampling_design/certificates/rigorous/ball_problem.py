@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.checkers.numbers import MOST_ROWS, TOO_COUPLED
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
@@ -106,7 +107,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
         for row, turned in zip(doubled, zip(*doubled, strict=True), strict=True)
     ]
     drive = [[exact(*x.as_integer_ratio()) for x in column] for column in G.T.tolist()]
-    product = [[zero] * n for _ in range(n)]
+    product, eliminated = [[zero] * n for _ in range(n)], 0
     for k in range(q):
         pivot = form[k][k]
         if pivot < 0 or (pivot == 0 and any(x != 0 for x in form[k][k + 1 :])):
@@ -119,11 +120,14 @@ def noise(G: Array, Qw: Array) -> Matrix:
         for a in reached:
             for b in reached:
                 product[a][b] += drive[k][a] * drive[k][b] / pivot
-        for i in range(k + 1, q):
-            if form[i][k] != 0:
-                share = form[i][k] / pivot
-                form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
-                drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
+        coupled = [i for i in range(k + 1, q) if form[i][k] != 0]
+        eliminated += len(coupled)
+        if eliminated > MOST_ROWS:
+            raise Undecided("Qw > 0", TOO_COUPLED)
+        for i in coupled:
+            share = form[i][k] / pivot
+            form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
+            drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
     made: Matrix = flint().arb_mat([list(map(flint().arb, row)) for row in product]) if n else matrix(np.zeros((0, 0)))
     return made
 

@@ -210,8 +210,8 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
     -----
     *Assumptions.* The doubles in the file are the numbers meant; a periodic schedule is its gaps and its first time,
     without rounding of the sums. A weight is its symmetric part. *Claim.* "proven" and "refuted" are theorems.
-    *Method.* `ball_proof` and, where that does not close, `refutation`; `family_rigorous` for families and
-    `dissipation_rigorous` for detectability. *Numerical aspects.* 160 bits, 400 where no
+    *Method.* `ball_proof` and, where that does not close, `refutation`; `family_balls` for families and
+    `dissipation_balls` for detectability. *Numerical aspects.* 160 bits, 400 where no
     family is found; eigenvalues are guessed in floats, gains and families in midpoints, and proven by the pivots of
     L D L' in balls.
     """

@@ -29,7 +29,7 @@ class SolvedSample(NamedTuple):
 
     x: Array
     Y: Array
-    verdict: SolveVerdict
+    outcome: SolveVerdict
     engine: str = ""
     note: str = ""
     cost: float = np.nan

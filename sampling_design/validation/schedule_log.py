@@ -213,7 +213,7 @@ def compare_schedule(
     Notes
     -----
     *Method.* The plan is cut at half a gap beyond the last actual time. Planned and actual samples are matched in
-    order, each to its nearest, if that is less than half a gap of the plan away. Sigma of a long record is that of the
+    order, each to the nearest within half of the gaps around it. Sigma of a long record is that of the
     worst of its stretches; of an endless plan the windows that begin within two periods stand for all.
 
     Examples
@@ -326,7 +326,7 @@ def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
 def _paired_times(planned: Array, actual: Array) -> Index:
     """Pair each planned time with the nearest actual one within half of the gaps around it, none twice.
 
-    A stretch at a time. Of several that are nearest to one sample, which are neighbours, the first has it.
+    A stretch at a time. Of two neighbours that rounding leaves one sample between them, the first has it.
     """
     match = np.full(planned.size, -1, dtype=np.intp)
     last = -1
@@ -335,10 +335,11 @@ def _paired_times(planned: Array, actual: Array) -> Index:
         t = planned[index]
         after_it = np.searchsorted(actual, t).clip(0, actual.size - 1)
         before_it = (after_it - 1).clip(0)
-        near = np.where(np.abs(actual[before_it] - t) <= np.abs(actual[after_it] - t), before_it, after_it)
-        away = actual[near] - t
-        fits = np.flatnonzero((-_half_before(planned, index) <= away) & (away < _half_before(planned, index + 1)))
-        nearest = near[fits]
+        away = actual[np.array([before_it, after_it])] - t
+        within = (-_half_before(planned, index) <= away) & (away < _half_before(planned, index + 1))
+        distance = np.where(within, np.abs(away), np.inf)
+        fits = np.flatnonzero(within.any(axis=0))
+        nearest = np.where(distance[0] <= distance[1], before_it, after_it)[fits]
         new = np.diff(nearest, prepend=last) > 0
         match[index[fits[new]]] = nearest[new]
         last = int(nearest[-1]) if nearest.size else last

@@ -227,8 +227,8 @@ def one_by_one(planned, actual):
         before[0], after[-1] = after[0], before[-1]
     match = []
     for k, t in enumerate(planned):
-        near = int(np.argmin(np.abs(actual - t)))
-        match.append(near if -before[k] <= actual[near] - t < after[k] and near not in match else -1)
+        its = [j for j, a in enumerate(actual) if -before[k] <= a - t < after[k] and j not in match]
+        match.append(min(its, key=lambda j: abs(actual[j] - t), default=-1))
     return match
 
 

@@ -177,8 +177,8 @@ def _to_csv(schedule: AnySchedule) -> str:
     mask = schedule.outputs
     names = schedule.output_names
     if mask is not None and names is None:
-        names = tuple(f"y{i + 1}" for i in range(mask.shape[1]))
-    for name in names or ():
+        names = _nameless(mask.shape[1])
+    for name in schedule.output_names or ():
         if not file_io.is_column(name, "time") or any(c in name for c in ',"#'):
             raise ArgumentError(f"`output_names`: {name!r} cannot be a column of a CSV file. Write .json instead.")
     if mask is None:
@@ -221,6 +221,11 @@ def _from_csv(text: str, where: str) -> AnySchedule:
     return _build(times, mask, header[1:], keys, where)
 
 
+def _nameless(count: int) -> tuple[str, ...]:
+    """Columns of outputs that have no names, as none that has one can be called: they fit outputs of any names."""
+    return tuple(f"#{i + 1}" for i in range(count))
+
+
 def _time(cell: str, before: list[float], fail: Callable[[str], Exception]) -> float:
     value = decimal(cell)
     if value is None:
@@ -258,7 +263,9 @@ def _build(
         every = not names or all(all(row) for row in mask)
         outputs = None if every else np.array(mask, dtype=bool)
         details = ScheduleDetails(
-            time_unit=keys["time_unit"], origin=keys.get("origin"), output_names=tuple(names) or None
+            time_unit=keys["time_unit"],
+            origin=keys.get("origin"),
+            output_names=None if tuple(names) == _nameless(len(names)) else tuple(names),
         )
         if "period" not in keys:
             return Schedule(np.array(times), outputs, **details)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sampling_design import ArgumentError, PeriodicSchedule, Schedule, read_schedule
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, Schedule, read_schedule, window_sigma
 from sampling_design.errors import FileFormatError
 from sampling_design.schedules.files import schedule_from_dict, write_schedule
 
@@ -60,10 +60,14 @@ def test_times_come_back_to_the_last_bit(tmp_path_factory, times, unit):
 
 
 def test_outputs_without_names_get_columns_and_all_ones_stay_unmasked(tmp_path):
-    path = tmp_path / "a.csv"
-    write_schedule(Schedule([1.0, 2.0], [[1, 0], [1, 1]], time_unit="s"), path)
-    assert path.read_text().splitlines()[1] == "time,y1,y2"
-    assert read_schedule(path).outputs.tolist() == [[True, False], [True, True]]
+    path, nameless = tmp_path / "a.csv", Schedule([1.0, 2.0], [[1, 0], [1, 1]], time_unit="s")
+    write_schedule(nameless, path)
+    assert path.read_text().splitlines()[1] == "time,#1,#2"
+    same(read_schedule(path), nameless)
+    plant = Plant(
+        np.diag([0.1, 0.2]), np.eye(2), outputs=["level", "speed"]
+    )  # of whatever names, as before it was written
+    assert window_sigma(plant, read_schedule(path), 1.0).lower == window_sigma(plant, nameless, 1.0).lower > 0
     write_schedule(Schedule([1.0], time_unit="s", output_names=["a"]), path)
     back = read_schedule(path)
     assert (back.outputs, back.output_names) == (None, ("a",))

@@ -429,9 +429,7 @@ def _best_proven(
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
     choices = [choice for choice in choices if choice.value * choice.eta < BEYOND] or choices
-    stages: list[Iterable[list[ChosenWeights]]] = [
-        [[some for some in choices if some.spare == k]] for k in (False, True)
-    ]
+    stages: list[Iterable[list[ChosenWeights]]] = [[[c for c in choices if c.spare == k]] for k in (False, True)]
     if choices:
         low = min(choice.eta for choice in choices)
         stages.append(round_choices(canon, [low, low / 10] if eta is None else [low], gain, first.total))

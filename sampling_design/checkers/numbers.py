@@ -18,7 +18,6 @@ SAFE = 1e-140, 1e140  # sizes of numbers of which no product of two underflows o
 RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
 MOST_EXACT = 40  # states up to which a matrix that floats leave open is decided in rational numbers
 MOST_ROWS = 2048  # eliminated from Qw in rational numbers, which grow: all of 64 coupled disturbances, some 6 s
-TOO_COUPLED = "Qw couples more disturbances than rational numbers can invert in a check"
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ def inner(G: Array, Qw: Array, units: Array) -> Array:
         coupled = [i for i in range(k + 1, q) if form[i][k]]
         eliminated += len(coupled)
         if eliminated > MOST_ROWS:
-            raise Undecided("Qw > 0", TOO_COUPLED)
+            raise Undecided("Qw > 0", "Qw couples more disturbances than rational numbers can invert in a check")
         for i in coupled:
             share = form[i][k] / pivot
             form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.checkers.numbers import MOST_ROWS, TOO_COUPLED
+from sampling_design.checkers.numbers import MOST_ROWS
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
@@ -123,7 +123,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
         coupled = [i for i in range(k + 1, q) if form[i][k] != 0]
         eliminated += len(coupled)
         if eliminated > MOST_ROWS:
-            raise Undecided("Qw > 0", TOO_COUPLED)
+            raise Undecided("Qw > 0", "Qw couples more disturbances than rational numbers can invert in a check")
         for i in coupled:
             share = form[i][k] / pivot
             form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]

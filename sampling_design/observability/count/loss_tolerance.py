@@ -178,7 +178,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     (0.533, 0.658, 0.73)
     """
     schedule = align(plant, schedule)
-    kept = _shown(plant)
+    kept = _retained(plant)
     density = len(schedule) / schedule.period
     growth, rounding = _fastest(kept)
     require_observable(plant, "a loss tolerance", 0.0)
@@ -235,7 +235,7 @@ def _fastest_turn(plant: Plant) -> float:
     return max((float(np.max(np.abs(c.members.imag))) + c.uncertainty for c in clusters), default=0.0)
 
 
-def _shown(plant: Plant) -> Plant:
+def _retained(plant: Plant) -> Plant:
     """The modes that do not decay, without what outputs show of them within `NEARLY_HIDDEN` of what was added up."""
     split = split_modes(plant)
     part, added = split.retained, np.abs(plant.C) @ np.abs(split.basis_retained)
@@ -333,7 +333,7 @@ def _repeating(
     slower = [v.real for v in values if v.real < growth - alike]
     line = (growth + max(slower, default=growth - 2 * max(growth, alike))) / 2
     moved = Plant(plant.A - line * np.eye(plant.n_states), plant.C)
-    fast = _shown(moved)
+    fast = _retained(moved)
     d = balance(fast.A, fast.C).d
     best: tuple[int, frozenset[int]] | None = None
     for count in range(1, MOST_PERIODS + 1):

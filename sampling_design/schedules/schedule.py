@@ -253,8 +253,9 @@ class PeriodicSchedule(_Sampled):
         _positive_gaps(gaps, offset=0)
         first = float(gaps[0]) if self.first is None else checks.nonnegative("first", self.first)
         period = float(np.sum(gaps))
-        if first > period:
+        if first > period + gaps.size * np.spacing(period):
             raise ArgumentError(f"`first` must lie in [0, period] = [0, {period!r}], got {first!r}.")
+        first = min(first, period)  # gaps in another unit add up to a little less than the period in it
         times = checks.freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
         if np.any(np.diff(times, append=times[0] + period) <= 0):
             raise ArgumentError(

@@ -159,3 +159,17 @@ def test_a_schedule_knows_its_longest_and_its_least_gap():
     assert Schedule([3.0]).min_gap == np.inf
     with pytest.raises(ArgumentError, match="`schedule` must have at least one sample: without one it has no longest"):
         _ = Schedule([]).d_max
+
+
+@pytest.mark.parametrize("factor", [3600.0, 1e-6, 1 / 7])
+def test_the_first_sample_may_be_at_the_end_of_the_period_in_any_unit(factor):
+    """In doubles a sum of gaps in another unit may lie below their sum in that unit."""
+    rounded = 0
+    for gaps in np.random.default_rng(0).uniform(0.1, 2.0, (40, 5)):
+        made = PeriodicSchedule(gaps * factor, first=gaps.sum() * factor)
+        assert made.first <= made.period
+        np.testing.assert_allclose(made.times, PeriodicSchedule(gaps, first=gaps.sum()).times * factor, rtol=1e-15)
+        rounded += gaps.sum() * factor > made.period
+    assert rounded
+    with pytest.raises(ArgumentError, match="`first` must lie in"):
+        PeriodicSchedule(gaps, first=gaps.sum() * (1 + 1e-12))

@@ -208,13 +208,13 @@ def _bracketed(search: GainSearch, row: Array, tolerance: float) -> RowSearch:
 
 
 def _witness(
-    side: GainSearch, question: AccuracyQuestion, searched: RowSearch, moves: bool, rounding: float
+    side: GainSearch, question: AccuracyQuestion, searched: RowSearch, moves: bool, rounding: float, limit: Budget
 ) -> tuple[AccuracyWitness, int, int]:
     """The strongest witness of a row, its node and offset; at real times that are sought, if samples may move.
 
     At rest where it attains `rounding` alone.
     """
-    witness, j, offset = strongest_witness(side, searched.row, question, searched)
+    witness, j, offset = strongest_witness(side, searched.row, question, searched, limit)
     if moves and j < len(side.system):  # where some results are out, it stays at planned times
         witness = max(witness, moved_witness(side, question, searched, j, offset), key=lambda found: found.value)
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
@@ -261,8 +261,9 @@ def _record(
     below, above = np.full((2, count, edges.size - 1), np.inf)
     witnesses: list[AccuracyWitness | None] = [None] * count
     proof: tuple[GapProof, ...] = ()
-    for k, search in found.items():
+    for done, (k, search) in enumerate(found.items()):
         assert finder is not None
+        limit = finder.budget.share(1 / (len(found) - done))
         again = finder.opened(search.row)  # with what was found for the rows after it
         at_samples[k] = _at_samples(question, finder.system, again)
         above[k] = np.concatenate(list(again.panels.values()))
@@ -271,7 +272,8 @@ def _record(
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
-        witness, j, offset = _witness(side, question, searched, side is planned and not known.modes, KEPT * upper[k])
+        moves = side is planned and not known.modes
+        witness, j, offset = _witness(side, question, searched, moves, KEPT * upper[k], limit)
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         worst[k] = question.time_of(finder.system, j) + again.opened[j].d[offset]
         if plain:

@@ -164,10 +164,10 @@ def accuracy_by_count(
         raise ArgumentError("`counts` must hold a number of samples, got none: give (0, 4), say.")
     length, rows = checks.positive("period", period), requested_rows(plant, of)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    blind = remade(plant, C=0 * plant.C)
+    unmeasured = remade(plant, C=0 * plant.C)
     found = []
     for done, k in enumerate(many):
-        asked, noise, wanted = (plant, v_bound, of) if k else (blind, 1.0, rows.matrix)
+        asked, noise, wanted = (plant, v_bound, of) if k else (unmeasured, 1.0, rows.matrix)
         schedule = PeriodicSchedule([length / max(k, 1)], time_unit=plant.time_unit)
         share = limit.seconds_left(LEAST, 1 / (len(many) - done))
         found.append(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,8 @@ from sampling_design.accuracy.unknown_start import FreeResponses
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, Record, short
@@ -100,10 +101,7 @@ class AccuracyWitness(Record):
         flows = forced_flow(A, G, np.diff(self.edges))
         ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
         z, w = self.states / scale, self.w / size
-        cells = np.diff(ends)
-        for count in np.unique(cells[:-1]):  # gaps of equally many cells at once: each is simulated from its own state
-            at = np.flatnonzero(cells[:-1] == count)
-            inside = ends[at][:, None] + np.arange(count)
+        for at, inside in _alike(ends[:-1]):  # each gap is simulated from its own state
             ahead, flat = _over_gaps(flows[inside])
             moved = products(ahead, z[at]) + products(flat, w[inside].reshape(len(at), -1))
             terms = products(np.abs(ahead), np.abs(z[at]))
@@ -113,7 +111,7 @@ class AccuracyWitness(Record):
             change = _least_change(flat / unit[:, :, None], left / unit)
             open_still = np.abs(left - products(flat, change))
             change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
-            w[inside] += change.reshape(len(at), count, -1)
+            w[inside] += change.reshape(*inside.shape, -1)
         ahead, flat = _over_gaps(flows[None, ends[-2] :])
         x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
@@ -123,9 +121,12 @@ class AccuracyWitness(Record):
         scale, states = self.scales(), [self.states[0]]
         flows = forced_flow(self.plant.A * scale / scale[:, None], self.plant.G / scale[:, None], np.diff(self.edges))
         ends = np.searchsorted(self.edges, self.samples)
-        for a, b in pairwise(ends.tolist()):
-            ahead, flat = _over_gaps(flows[None, a:b])
-            states.append(scale * (ahead[0] @ (states[-1] / scale) + flat[0] @ self.w[a:b].ravel()))
+        onward, moved = np.zeros((len(ends) - 1, len(scale), len(scale))), np.zeros((len(ends) - 1, len(scale)))
+        for at, inside in _alike(ends):
+            onward[at], flat = _over_gaps(flows[inside])
+            moved[at] = products(flat, self.w[inside].reshape(len(at), -1))
+        for ahead, driven in zip(onward, moved, strict=True):
+            states.append(scale * (ahead @ (states[-1] / scale) + driven))
         return replace(self, states=freeze(states))
 
     def within(self, excess: float, value: float) -> AccuracyWitness:
@@ -174,6 +175,14 @@ class AccuracyWitness(Record):
         """Plain data."""
         outputs = self.outputs.astype(int).tolist()
         return {**selected(self, "row edges w samples last states value"), "outputs": outputs}
+
+
+def _alike(ends: Index) -> Iterator[tuple[Index, Index]]:
+    """Gaps of equally many cells: which they are (K,), and their cells (K, m); gap k is from ends[k] to ends[k + 1]."""
+    cells = np.diff(ends)
+    for count in np.unique(cells):
+        at = np.flatnonzero(cells == count)
+        yield at, ends[at][:, None] + np.arange(count)
 
 
 def _over_gaps(flows: Array) -> tuple[Array, Array]:
@@ -282,9 +291,13 @@ def left_open(question: AccuracyQuestion, finder: GainSearch | None, upper: Arra
 
 
 def strongest_witness(
-    finder: GainSearch, row: Array, question: AccuracyQuestion, found: RowSearch
+    finder: GainSearch, row: Array, question: AccuracyQuestion, found: RowSearch, limit: Budget
 ) -> tuple[AccuracyWitness, int, int]:
-    """Return the strongest adversary as a witness, simulated anew and made admissible, its sample and its offset."""
+    """Return the strongest adversary as a witness, simulated anew and made admissible, its sample and its offset.
+
+    Of those that were simulated within the limit: one at least, and the one of the shortest history if nothing else
+    attains anything.
+    """
     best: tuple[AccuracyWitness, int, int] | None = None
     adversaries = []
     for j, opened in found.opened.items():
@@ -295,11 +308,13 @@ def strongest_witness(
             values = np.where(sure, np.abs(opened.mu @ adversary.end) + opened.below, -1.0)
             adversaries.append((float(np.max(values)), int(np.argmax(values)), adversary))
     top = (1 - KEPT) * max(value for value, *_ in adversaries)
-    for value, offset, adversary in sorted(
-        adversaries, key=lambda a: (-min(a[0], top), a[2].sample)
-    ):  # of equals the first
+    ranked = sorted(adversaries, key=lambda a: (-min(a[0], top), a[2].sample))  # of equals the first
+    shortest = min(ranked, key=lambda a: len(a[2].w))
+    for value, offset, adversary in ranked:
         if best is not None and best[0].value >= (1 - KEPT) * value:
             break
+        if best is not None and limit.over and (best[0].value > 0 or adversary is not shortest[2]):
+            continue  # where nothing was attained yet, the shortest history costs little
         witness = admissible(physical(row, found.opened[adversary.sample], adversary, offset), question)
         if best is None or witness.value > best[0].value * (1 + KEPT):
             best = witness, adversary.sample, offset

@@ -12,6 +12,7 @@ from sampling_design.accuracy import search
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.errors import ArgumentError
 from sampling_design.plants import library
+from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles import accuracy as oracle
 
@@ -358,3 +359,23 @@ def test_a_period_whose_noise_differs_is_not_shortened():
     schedule = sd.PeriodicSchedule([0.75] * 4)
     one = sd.guaranteed_accuracy(OSCILLATOR, schedule, w_bound=0.02, v_bound=v)
     assert len(set(one.at_samples[1].round(6))) == 4
+
+
+@pytest.mark.parametrize("left", [0.0, np.inf])
+def test_within_a_limit_one_adversary_is_simulated_or_the_one_of_the_shortest_history_too(left, monkeypatch):
+    """To simulate them took twice as long as the budget of the search that had found them."""
+    simulated = []
+
+    def nothing(one, question):
+        simulated.append(one.samples.size)
+        return replace(one, value=0.0)
+
+    monkeypatch.setattr("sampling_design.accuracy.witness.admissible", nothing)
+    monkeypatch.setattr(Budget, "share", lambda self, fraction: Budget(left))
+    found = sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, of="position", rtol=0.01)
+    assert found.lower[0] == 0.0
+    if left:
+        assert len(simulated) > 2
+    else:
+        assert 1 <= len(simulated) <= 2
+        assert simulated[-1] == min(simulated)

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import ArgumentError
 from sampling_design.errors import FileFormatError
-from sampling_design.schedules.time_stamps import import_time_stamps
+from sampling_design.schedules.time_stamps import import_time_stamps, parse_date
 
 
 @pytest.fixture
@@ -96,3 +96,15 @@ def test_bad_arguments(table):
             import_time_stamps(path, "h", origin=text)
     with pytest.raises(ArgumentError, match="`origin` must be a text or a datetime, got int 5"):
         import_time_stamps(path, "h", origin=5)
+
+
+class Missing(datetime):
+    """A date that is missing, as pandas has it: a datetime that equals nothing."""
+
+    def __ne__(self, other):
+        return True
+
+
+def test_a_missing_date_is_no_date():
+    with pytest.raises(ArgumentError, match="`start` must be a date like 2026-01-05T08:00"):
+        parse_date("start", Missing(2026, 1, 5))

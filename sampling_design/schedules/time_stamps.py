@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
@@ -123,13 +124,12 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
 
     Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
-    try:
+    date = None
+    with suppress(TypeError, ValueError, AttributeError):
         date = value if isinstance(value, datetime) else zoned_date(value)
-        if date != date:  # pandas counts its missing date among dates
-            raise ValueError
-    except (TypeError, ValueError, AttributeError):
+    if date is None or date != date:  # pandas counts its missing date among dates
         came = repr(value)[:60] if is_text(value) else checks.described(value)
-        raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {came}.") from None
+        raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {came}.")
     if date.tzinfo is not None or zone is None:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date
     place = time_zone(zone)

@@ -12,6 +12,7 @@ import pytest
 HTML = Path(os.environ.get("DOCS_HTML", Path(__file__).parents[2] / "docs" / "_build" / "html"))
 PAGES = sorted(str(p.relative_to(HTML)) for p in HTML.rglob("*.html") if "_static" not in p.parts)
 PHONE = {"width": 390, "height": 844}
+MADE_IN_PASSING = re.compile(r" at 0x[0-9a-f]{6}|^Text\(")  # what a line that draws returns, and no reader asked for
 
 # text that a reader sees, without code and without what is read aloud only
 READ = """() => {
@@ -61,6 +62,7 @@ def test_a_page_shows_its_mathematics_and_asks_nobody(name, page, shot):
     assert page.broken == []
     pictures = page.locator("article img:not(.toggler)").all()
     assert [p.get_attribute("src") for p in pictures if len(p.get_attribute("alt") or "") < 15] == []
+    assert [text for text in page.locator("article pre").all_inner_texts() if MADE_IN_PASSING.search(text)] == []
     assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
     shot(page, name.replace("/", "-").removesuffix(".html"))
     page.set_viewport_size(PHONE)

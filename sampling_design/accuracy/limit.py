@@ -205,17 +205,9 @@ def accuracy_limit(
         witness = witnesses[k]
         lower[k] = 0.0 if witness is None else witness.value
     return AccuracyLimit(
-        plant,
-        rows,
-        one,
-        allowed,
-        span,
-        freeze(lower),
-        tuple(witnesses),
-        phases=freeze(phases),
-        unknown=known.modes,
+        plant, rows, one, allowed, span, freeze(lower), tuple(witnesses), freeze(phases), unknown=known.modes,
         closed=not limit.over,
-    )
+    )  # fmt: skip
 
 
 def _zones(zones: Zones, period: float | None) -> Array | None:

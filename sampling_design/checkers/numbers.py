@@ -112,27 +112,41 @@ def inner(G: Array, Qw: Array, units: Array) -> Array:
     q, n = len(Qw), len(G)
     form = [[(Fraction(Qw[i, j]) + Fraction(Qw[j, i])) / 2 for j in range(q)] for i in range(q)]
     drive = [[Fraction(g) / Fraction(u) for g, u in zip(column, units, strict=True)] for column in G.T.tolist()]
-    found = [[Fraction(0)] * n for _ in range(n)]
+    product = exact_inner(drive, form, [[Fraction(0)] * n for _ in range(n)])
+    try:
+        return np.array([[float(x) for x in row] for row in product], dtype=np.float64).reshape(n, n)
+    except OverflowError:
+        raise Undecided("range", "G Qw^-1 G' is beyond the range of doubles") from None
+
+
+def exact_inner(
+    drive: list[list[Fraction]], form: list[list[Fraction]], product: list[list[Fraction]]
+) -> list[list[Fraction]]:
+    """Return drive' form^-1 drive, (q, n) and (q, q), which it uses up, added to `product` (n, n).
+
+    Fractions or another library's exact numbers. Refused if the form is not positive semidefinite, or singular in a
+    direction of `drive`.
+    """
+    n = len(product)
     eliminated = 0
-    for k in range(q):
-        pivot = form[k][k]
-        if pivot < 0 or (pivot == 0 and any(form[k][k + 1 :])):
+    for k, row in enumerate(form):
+        pivot = row[k]
+        if pivot < 0 or (pivot == 0 and any(x != 0 for x in row[k + 1 :])):
             raise Refused("Qw > 0", "Qw is not positive semidefinite")
+        reached = [a for a in range(n) if drive[k][a] != 0]
         if pivot == 0:
-            if any(drive[k]):
+            if reached:
                 raise Refused("Qw > 0", "Qw is singular in a direction that drives the plant")
             continue
-        for a, b in ((a, b) for a in range(n) if drive[k][a] for b in range(n)):
-            found[a][b] += drive[k][a] * drive[k][b] / pivot
-        coupled = [i for i in range(k + 1, q) if form[i][k]]
+        for a in reached:
+            for b in reached:
+                product[a][b] += drive[k][a] * drive[k][b] / pivot
+        coupled = [i for i in range(k + 1, len(form)) if form[i][k] != 0]
         eliminated += len(coupled)
         if eliminated > MOST_ROWS:
             raise Undecided("Qw > 0", "Qw couples more disturbances than rational numbers can invert in a check")
         for i in coupled:
             share = form[i][k] / pivot
-            form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
+            form[i] = [x - share * y for x, y in zip(form[i], row, strict=True)]
             drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
-    try:
-        return np.array([[float(x) for x in row] for row in found], dtype=np.float64).reshape(n, n)
-    except OverflowError:
-        raise Undecided("range", "G Qw^-1 G' is beyond the range of doubles") from None
+    return product

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.checkers.numbers import MOST_ROWS
+from sampling_design.checkers.numbers import exact_inner
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
@@ -99,35 +99,14 @@ class BallWeights:
 
 def noise(G: Array, Qw: Array) -> Matrix:
     """Return G Qw^-1 G', in rational numbers; Qw may be singular where it does not drive the plant."""
-    exact, q, n = flint().fmpq, Qw.shape[0], G.shape[0]
-    zero = exact(0)
+    exact, n = flint().fmpq, G.shape[0]
     doubled = [[exact(*x.as_integer_ratio()) for x in row] for row in Qw.tolist()]
     form = [
         [(x + y) / 2 for x, y in zip(row, turned, strict=True)]
         for row, turned in zip(doubled, zip(*doubled, strict=True), strict=True)
     ]
     drive = [[exact(*x.as_integer_ratio()) for x in column] for column in G.T.tolist()]
-    product, eliminated = [[zero] * n for _ in range(n)], 0
-    for k in range(q):
-        pivot = form[k][k]
-        if pivot < 0 or (pivot == 0 and any(x != 0 for x in form[k][k + 1 :])):
-            raise Refused("Qw > 0", "Qw is not positive definite, not even semidefinite")
-        reached = [b for b in range(n) if drive[k][b] != 0]
-        if pivot == 0:
-            if reached:
-                raise Refused("Qw > 0", "Qw is singular in a direction that drives the plant")
-            continue
-        for a in reached:
-            for b in reached:
-                product[a][b] += drive[k][a] * drive[k][b] / pivot
-        coupled = [i for i in range(k + 1, q) if form[i][k] != 0]
-        eliminated += len(coupled)
-        if eliminated > MOST_ROWS:
-            raise Undecided("Qw > 0", "Qw couples more disturbances than rational numbers can invert in a check")
-        for i in coupled:
-            share = form[i][k] / pivot
-            form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
-            drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
+    product = exact_inner(drive, form, [[exact(0)] * n for _ in range(n)])
     made: Matrix = flint().arb_mat([list(map(flint().arb, row)) for row in product]) if n else matrix(np.zeros((0, 0)))
     return made
 

@@ -311,8 +311,8 @@ class AccuracyOracle:
         """The steps of its samples."""
         steps = self.problem.steps
         at = np.flatnonzero(chosen.any(axis=1))
-        periods = back // steps + 1
-        knots = np.concatenate([at + period * steps for period in range(-periods, 1)])
+        periods = np.arange((last - back) // steps, last // steps + 1)  # what is out may be of periods before this one
+        knots = (at + periods[:, None] * steps).ravel()
         knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
         long = np.flatnonzero(np.diff(knots) > self.discrete.longest)
         return knots[long[-1] + 1 :] if long.size else knots

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
@@ -48,9 +48,10 @@ class NextChoices:
         self._after: dict[float, list[tuple[Array, Mask, PlanClock]]] = {}
         self._added: dict[int, list[Option]] = {}
 
-    def exceeded(self) -> GoalDeadline | None:
-        """The goal that is above its tolerance now for longest, and since when."""
-        return exceeded_since(self.plan, self.history, self.now)
+    def exceeded(self, known: Mapping[str, float]) -> GoalDeadline | None:
+        """The goal that is above its tolerance now for longest, and since when; none that is known well enough now."""
+        within = {g.name for g in self.plan.goals if g.at == "all times" and known[g.name] <= g.tolerance}
+        return exceeded_since(self.plan, self.history, self.now, within)
 
     def options(self, sensor: int | None) -> list[Option]:
         """Allowed times of the grid over a period, the first that keeps the spacing on; with what is read then.

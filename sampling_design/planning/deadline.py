@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, groupby, pairwise
 
@@ -113,14 +113,17 @@ def _ending(history: SampleSequence, end: float, since: float = -np.inf) -> Samp
     return replace(history, times=times, measured=measured, since=since)
 
 
-def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> GoalDeadline | None:
+def exceeded_since(
+    plan: PlanFigures, sequence: SampleSequence, now: float, within: Container[str] = ()
+) -> GoalDeadline | None:
     """The goal that has been above its tolerance for longest without a break until now, and since when; None if none.
 
-    `ratio` is that of the last look. The sequence is what was measured until now.
+    `ratio` is that of the last look. The sequence is what was measured until now. `within`: goals that are not above
+    it now, which looks on the grid do not tell: a result that is in just now counts after it.
     """
     past = _ending(sequence, max(now, float(sequence.times[-1]) + WHOLE * plan.problem.step))
     deviations = {k: list(judged) for k, judged in groupby(_deviations(plan, past, np.inf), key=lambda each: each.k)}
-    pending = {goal.name for goal in plan.goals}
+    pending = {goal.name for goal in plan.goals if goal.name not in within}
     found: dict[str, GoalDeadline] = {}
     for i, span in [*enumerate(spans_of(plan, past))][::-1]:
         for each in [*_in_gap(plan, past, i, span, 1.0), *deviations.get(span.last, ())]:

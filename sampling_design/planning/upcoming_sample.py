@@ -68,7 +68,7 @@ class NextSample(Record):
     kept_from : float
         From when on every tolerance is kept: `now`, unless one cannot be; inf where nothing is known.
     exceeded : GoalDeadline or None
-        The goal that is above its tolerance now, since when, and how far.
+        The goal that is above its tolerance now, since when, and how far, by looks on the grid.
     known : dict of str to float
         How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
     judged_until : float
@@ -314,7 +314,8 @@ def next_sample(
     taken = _with_awaited(plan, taken, [*awaited], at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     run = NextChoices(plan, _history(plan, taken, at), at, limit)
-    exceeded = run.exceeded()
+    known = known_at(plan, run.history, at)
+    exceeded = run.exceeded(known)
     full = run.answer(None, prove)
     if not np.isfinite(full.t):
         full = run.soonest(prove)
@@ -342,7 +343,7 @@ def next_sample(
         alone_deadlines=alone_deadlines,
         kept_from=full.kept_from,
         exceeded=exceeded,
-        known=known_at(plan, run.history, at),
+        known=known,
         judged_until=run.judged_until(max(at, full.t)),
         complete=not limit.over,
         awaited=_out(plan, run.history, at),

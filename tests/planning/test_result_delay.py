@@ -7,6 +7,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
@@ -167,3 +169,42 @@ def test_what_cannot_be_awaited_is_refused(awaited, said):
 def test_without_a_record_nothing_is_awaited_by_name():
     with pytest.raises(ArgumentError, match="`awaited` needs a `record`"):
         sd.next_sample(planned(wanted(0.7), [], [0]), now=12.5, awaited=[(12.0, "lab")])
+
+
+def test_nothing_that_is_known_well_enough_now_is_said_to_be_exceeded():
+    """For x' = w: known to .02 + .1 since the last result that is in, also where that is in at this very moment."""
+    plan, rng, both = planned(wanted(0.7), [], [0]), np.random.default_rng(7), set()
+    for _ in range(12):
+        now = float(rng.choice([16.0, 17.25, 18.0]))
+        rows = [
+            (t, [np.nan, 0.0], None) for t in (4.0, 8.0, 12.0, 16.0) if t == 4.0 or (t <= now and rng.random() < 0.5)
+        ]
+        found = sd.next_sample(plan, rows, now=now, prove=False)
+        known = 0.02 + 0.1 * (now - rows[-1][0])
+        assert found.known["level"] == pytest.approx(known, rel=2e-3)
+        assert (found.exceeded is not None) is (known > 0.7)
+        both.add((found.exceeded is not None, now - rows[-1][0] < 1.5))
+    assert both == {(True, False), (False, True), (False, False)}
+
+
+def test_however_many_periods_results_are_out_a_choice_is_judged_as_one_worked_out_by_hand():
+    """For x' = w, on the grid: of all results that are in before a step the least noise with its age."""
+    rng = np.random.default_rng(3)
+    for delay in (0.5, 2.0, 4.5, 11.0, 26.5):
+        sensors = {
+            "gauge": {"noise_bound": 0.3},
+            "lab": {"noise_bound": 0.02, "result_delay": delay},
+        }
+        plan_problem = pose_plan(WALK, wanted(sensors=sensors))
+        chosen = np.zeros_like(plan_problem.allowed)
+        chosen[rng.choice(8, 2, replace=False), 1] = True
+        chosen[rng.choice(8, 1), 0] = True
+        known = [
+            (0.5 * (k + 8 * period) + after, noise - 0.05 * (k + 8 * period))
+            for period in range(-9, 1)
+            for j, after, noise in ((0, 0.0, 0.3), (1, delay, 0.02))
+            for k in np.flatnonzero(chosen[:, j])
+        ]
+        worst = max(min(c + 0.1 * t for comes, c in known if comes < t - 1e-9) for t in np.arange(1, 9) * 0.5)
+        oracle = AccuracyOracle(plan_problem, discretize(plan_problem))
+        assert 0.6 * oracle.judge(chosen)[0] == pytest.approx(worst, rel=1e-5)

@@ -126,7 +126,7 @@ USUAL = {
     "certificate": "certificate.json", "measurements": "measurements.csv", "wanted": "wanted.toml",
     "planned": "planned.json",
 }  # fmt: skip
-VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", "2.5", "9" * 400, "é", "--json", "0x10"]
+VALUES = ["nan", "inf", "-1", "0", "1e308", "abc", "", "1,2", "1e18", "2.5", "9" * 400, "é", "²", "--json", "0x10"]
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],
           "worst-case": ["--window", "4", "--count", "3", "--spacing", "0.5"], "pareto": ["--counts", "2,3"],
           "robustness": ["--longest", "2"], "design": ["--branches", "1"],

@@ -217,7 +217,7 @@ def _counts(text: str) -> list[int]:
     found: list[int] = []
     for part in filter(None, text.split(",")):
         first, dash, last = part.partition("-")
-        if not first.strip().isdigit() or (dash and not last.strip().isdigit()):
+        if not first.strip().isdecimal() or (dash and not last.strip().isdecimal()):
             raise ArgumentError(f"`--counts` must look like 8,10,12 or 8-16, got {text!r}.")
         if last and int(last) < int(first):
             raise ArgumentError(f"`--counts` must rise from the smaller number to the larger, got {part!r}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +19,7 @@ from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.plan_record import Plan
 from sampling_design.records.checks import number
 from sampling_design.schedules.opening import WEEK
-from sampling_design.schedules.time_stamps import parse_date
+from sampling_design.schedules.time_stamps import parse_date, zoned_date
 
 
 def _duration(text: str) -> float | str:
@@ -160,7 +159,7 @@ def _now(settings: Settings, result: Plan, text: str | None, flag: str = "--now"
         if calendar is None:
             raise ArgumentError(f"`{flag}` must be a number of {result.plant.time_unit}, got {text!r}.") from None
     date = parse_date(flag, text, calendar.zone)
-    if datetime.fromisoformat(text).tzinfo is None:
+    if zoned_date(text).tzinfo is None:
         settings.notice(f"Dates without a zone are read in {calendar.zone}.")
     return calendar.elapsed_at(date) / result.minutes(1.0)
 

@@ -239,7 +239,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Answer a question."""
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > LARGEST:
+        if not length.isdecimal() or int(length) > LARGEST:
             self.close_connection = True
             self._send(413, "text/plain", b"A question has a length, and not so large a one.\n")
             return

@@ -18,7 +18,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import PlainRecord
-from sampling_design.schedules.time_stamps import parse_date, passed, time_zone
+from sampling_design.schedules.time_stamps import parse_date, passed, time_zone, zoned_date
 
 WeekHours: TypeAlias = dict[str, tuple[tuple[str, str], ...]]
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
@@ -259,7 +259,9 @@ def _local_start(start: str, zone: str) -> datetime:
     Raises ArgumentError if it is no date, or not one that the clocks of the zone show once, with that offset.
     """
     parse_date("start", start)
-    given = datetime.fromisoformat(str(start))
+    given = zoned_date(str(start))
+    if given.second or given.microsecond:
+        raise ArgumentError(f"`start` must be at a whole minute, got {start!s:.60}.")
     early, late = (given.replace(tzinfo=time_zone(zone), fold=fold).utcoffset() for fold in (0, 1))
     if early != late:
         raise ArgumentError(

@@ -115,6 +115,14 @@ def test_a_plan_without_dates_takes_no_date():
         _now(Settings("next"), undated, "tomorrow")
 
 
+def test_a_date_is_read_in_all_its_forms(capsys):
+    place = sd.schedules.OpeningCalendar("2026-03-23", "Europe/Berlin")
+    dated = SimpleNamespace(requirement=SimpleNamespace(calendar=place), minutes=lambda t: 60 * t)
+    for text in ("2026-03-30T08:00", "2026-03-30T08:00+02:00", "2026-03-30T07:00[Europe/London]", "175"):
+        assert _now(Settings("next"), dated, text) == 7 * 24 + 7
+    assert capsys.readouterr().err.count("Dates without a zone") == 1
+
+
 @pytest.fixture(scope="module")
 def small_plan(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")

@@ -21,8 +21,9 @@ OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.tom
 
 def test_counts():
     assert _counts("2,4-6") == [2, 4, 5, 6]
-    with pytest.raises(ArgumentError, match="`--counts` must look like 8,10,12 or 8-16"):
-        _counts("3-")
+    for text in ("3-", "\u00b2", "2-\u00b2"):  # a digit that is no number
+        with pytest.raises(ArgumentError, match="`--counts` must look like 8,10,12 or 8-16"):
+            _counts(text)
     with pytest.raises(ArgumentError, match="`--counts` must name at least one number"):
         _counts("")
 

@@ -69,7 +69,8 @@ def test_another_sites_name_for_this_machine_is_refused(server):
 
 
 def test_a_question_too_large_is_refused(server):
-    assert ask(server, "POST", "/ask", X_Token=server.token, Content_Length=str(LARGEST + 1))[0] == 413
+    for length in (str(LARGEST + 1), "\u00b2"):
+        assert ask(server, "POST", "/ask", X_Token=server.token, Content_Length=length)[0] == 413
 
 
 def test_a_refusal_reaches_whoever_is_still_sending(server):

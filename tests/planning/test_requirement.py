@@ -116,10 +116,15 @@ def test_hours_past_midnight_end_on_the_next_day():
 
 
 def test_a_start_is_what_the_clocks_of_its_zone_show_once():
-    for start in ("2026-03-23T08:00+01:00", "2026-03-23T08:00"):
+    for start in ("2026-03-23T08:00+01:00", "2026-03-23T08:00", "2026-03-23T08:00[Europe/Berlin]", "20260323T0800"):
         assert OpeningCalendar(start, "Europe/Berlin").instant(0.0).isoformat() == "2026-03-23T08:00:00+01:00"
     with pytest.raises(ArgumentError, match=r"has another offset than the clocks of Europe/Berlin, which show 2026-03"):
         OpeningCalendar("2026-03-23T08:00+05:00", "Europe/Berlin")
+    with pytest.raises(ArgumentError, match="has another offset"):
+        OpeningCalendar("2026-03-23T08:00[Asia/Tokyo]", "Europe/Berlin")
+    for start in ("2026-03-23T08:00:30", "2026-03-23T08:00:00.5"):
+        with pytest.raises(ArgumentError, match="`start` must be at a whole minute, got 2026-03-23T08:00:"):
+            OpeningCalendar(start, "Europe/Berlin")
     for start in ("2026-03-29T02:30", "2026-10-25T02:30+01:00"):
         with pytest.raises(ArgumentError, match="skipped or repeated by the clocks of Europe/Berlin: begin at a time"):
             OpeningCalendar(start, "Europe/Berlin")

@@ -25,7 +25,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import short
+from sampling_design.records.record import above, below
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -176,7 +176,7 @@ def _answered(
         for done, k in enumerate(safe, 1):
             found[k] = _bracketed(search, rows.matrix[k] @ known.lift, tolerance)
             if progress is not None:
-                between = f"{short(found[k].lower)} to {short(found[k].upper)}"
+                between = f"{below(found[k].lower)} to {above(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
     planned = None
     if noise is not None and search is not None:

@@ -20,7 +20,17 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import CurveRecord, Plain, PlainRecord, TableRecord, Variable, moment, short
+from sampling_design.records.record import (
+    CurveRecord,
+    Plain,
+    PlainRecord,
+    TableRecord,
+    Variable,
+    above,
+    below,
+    moment,
+    short,
+)
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
@@ -247,7 +257,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             return "no bound holds at all times"
         low, up = self.lower[known], self.upper[known]
         width = float(np.max(np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0))) - 1
-        return f"brackets within {100 * width:.2g} %" if np.isfinite(width) else "0: nothing was attained"
+        return f"brackets within {above(100 * width, 2)} %" if np.isfinite(width) else "0: nothing was attained"
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
@@ -261,7 +271,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if self.result_delay:
             lines.append(("results come after", self._delays()))
         for k, label in enumerate(self.rows.labels()):
-            text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {moment(self.worst[k])} {unit}"
+            text = f"{below(self.lower[k])} to {above(self.upper[k])}, worst at {moment(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
                 text = f"without bound: {self._why()}"
             elif np.isinf(self.known_from[k]) and self.question.initial is not None:
@@ -304,7 +314,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         """Say what can be guaranteed."""
         known = np.isfinite(self.upper)
         parts = [
-            f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
+            f"{n} within {above(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
         ]
         lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
         text = f"No error bound of {', '.join(lost)} holds at all times: {self._why()}. " if lost else ""
@@ -323,7 +333,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             when += f", with results {self._delays()} after their samples"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
-            f"{short(low if low.size > 1 else low[0], 4)} ({self._within()})."
+            f"{below(low if low.size > 1 else low[0], 4)} ({self._within()})."
             + (f" {self.notice}" if self.notice else "")
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )

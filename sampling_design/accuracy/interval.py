@@ -26,7 +26,7 @@ from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, PlainRecord, TableRecord, counted, moment, short
+from sampling_design.records.record import Plain, PlainRecord, TableRecord, above, below, counted, moment
 from sampling_design.records.signatures import checked
 
 LARGEST = 1e100  # number of a plant in coordinates: its third powers are doubles
@@ -91,7 +91,7 @@ class Disproof(PlainRecord):
         unit = self.readings.plant.time_unit
         return [
             ("samples at", f"{moment(self.times)} {unit}"),
-            ("all bounds", f"{short(self.factors['all'], 3)} times as large at least"),
+            ("all bounds", f"{below(self.factors['all'], 3)} times as large at least"),
             *((f"that on {k} alone", _grown(self.factors[k])) for k in ("w", "v")),
         ]
 
@@ -101,7 +101,7 @@ class Disproof(PlainRecord):
         alone = ", ".join(f"that on {k} alone {_grown(self.factors[k])}" for k in ("w", "v"))
         return (
             f"The data contradict the bounds, most of all the samples at {when}: all bounds together would have to be "
-            f"{short(self.factors['all'], 3)} times as large; {alone}."
+            f"{below(self.factors['all'], 3)} times as large; {alone}."
         )
 
 
@@ -114,7 +114,7 @@ def _program(readings: Readings, scales: Array) -> RecordProgram:
 
 
 def _grown(factor: float) -> str:
-    return f"{short(factor, 3)} times" if np.isfinite(factor) else "never suffices"
+    return f"{below(factor, 3)} times" if np.isfinite(factor) else "never suffices"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -299,7 +299,7 @@ class Interval(TableRecord, PlainRecord):
     def _half_widths(self) -> str:
         if self.disproof is not None:
             return "no value is left: the data contradict the bounds"
-        return f"half-widths {short((self.upper - self.lower) / 2)}"
+        return f"half-widths {above((self.upper - self.lower) / 2)}"
 
     def _rows(self) -> list[tuple[str, str]]:
         count = int(np.sum(np.diff(self.readings.offsets) > 0))
@@ -307,7 +307,7 @@ class Interval(TableRecord, PlainRecord):
         if self.disproof is not None:
             return [*lines, *self.disproof._rows()]
         ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)
-        return [*lines, *((label, f"{short(a)} to {short(b)}") for label, a, b in ends)]
+        return [*lines, *((label, f"{below(a)} to {above(b)}") for label, a, b in ends)]
 
     def _moment(self) -> str:
         return moment(self.t)
@@ -318,7 +318,7 @@ class Interval(TableRecord, PlainRecord):
             return self.disproof.explain()
         labels, bounded = self.rows.labels(), np.isfinite(self.lower) | np.isfinite(self.upper)
         ends = list(zip(labels, self.lower, self.upper, bounded, strict=True))
-        said = [f"{n} from {short(a, 4)} to {short(b, 4)}" for n, a, b, known in ends if known]
+        said = [f"{n} from {below(a, 4)} to {above(b, 4)}" for n, a, b, known in ends if known]
         sentences = [f"The data prove {', '.join(said)}."] if said else []
         if not bounded.all():
             names = ", ".join(n for n, *_, known in ends if not known)

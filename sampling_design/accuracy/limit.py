@@ -22,7 +22,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, TableRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -108,12 +108,12 @@ class AccuracyLimit(TableRecord, PlainRecord):
         where = "all times" if self.zones is None else f"{len(self.zones)} zones in {short(self.period)}"
         lines = [("measured at", f"{where} {self.plant.time_unit}" if self.zones is not None else where)]
         lines += [] if self.closed else [("search", "ended by its budget")]
-        return lines + [(label, short(x)) for label, x in zip(self.rows.labels(), self.lower, strict=True)]
+        return lines + [(label, below(x)) for label, x in zip(self.rows.labels(), self.lower, strict=True)]
 
     def explain(self) -> str:
         """Say what nobody can know better."""
         when = "Even measured at all times" if self.zones is None else "Even measured at all allowed times"
-        parts = [f"{n} is uncertain by {short(x, 4)}" for n, x in zip(self.rows.labels(), self.lower, strict=True)]
+        parts = [f"{n} is uncertain by {below(x, 4)}" for n, x in zip(self.rows.labels(), self.lower, strict=True)]
         more = "" if self.closed else " The budget ended the search: the true limit may be far above."
         return f"{when}, {', '.join(parts)} at the worst moment: no schedule and no estimator knows more.{more}"
 

@@ -23,7 +23,7 @@ from sampling_design.plants.rows import requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, moment, short
+from sampling_design.records.record import PlainRecord, above, below, moment, short
 from sampling_design.records.signatures import checked
 
 DISCOUNTS = np.geomspace(1e-3, 10.0, 13)  # Discounts of an ellipsoid over a mean gap that are tried
@@ -75,8 +75,8 @@ class Projection(PlainRecord):
         return [
             ("rows", " and ".join(self.names)),
             ("t", f"{moment(self.t)} {self.time_unit}"),
-            ("area", f"{short(inner)} to {short(outer)}"),
-            ("area of the ellipse", f"{short(ellipse)}, {short(ellipse / outer, 3)} times that"),
+            ("area", f"{below(inner)} to {above(outer)}"),
+            ("area of the ellipse", f"{above(ellipse)}, {short(ellipse / outer, 3)} times that"),
         ]
 
     def explain(self) -> str:
@@ -84,8 +84,8 @@ class Projection(PlainRecord):
         inner, outer, ellipse = self.areas()
         return (
             f"At {moment(self.t)} {self.time_unit} nobody can place {' and '.join(self.names)} better than within a "
-            f"set of area {short(inner, 4)} to {short(outer, 4)}; the ellipse of a quadratic cost has "
-            f"{short(ellipse, 4)}."
+            f"set of area {below(inner, 4)} to {above(outer, 4)}; the ellipse of a quadratic cost has "
+            f"{above(ellipse, 4)}."
         )
 
 

@@ -18,7 +18,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, above, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 
@@ -43,12 +43,12 @@ class PeriodicEstimate(PlainRecord):
 
     def _rows(self) -> list[tuple[str, str]]:
         pairs = zip(self.value, self.radii, strict=True)
-        return [("t", short(self.t)), *((f"z{k + 1}", f"{short(z)} ± {short(r)}") for k, (z, r) in enumerate(pairs))]
+        return [("t", short(self.t)), *((f"z{k + 1}", f"{short(z)} ± {above(r)}") for k, (z, r) in enumerate(pairs))]
 
     def explain(self) -> str:
         """Say what is guaranteed."""
         pairs = zip(self.value, self.radii, strict=True)
-        return f"At {short(self.t)}: " + ", ".join(f"{short(z)} within {short(r, 4)}" for z, r in pairs) + "."
+        return f"At {short(self.t)}: " + ", ".join(f"{short(z)} within {above(r, 4)}" for z, r in pairs) + "."
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
-from sampling_design.records.declarations import Column
+from sampling_design.records.declarations import Column, above
 from sampling_design.records.record import PlainRecord, TableRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -90,7 +90,7 @@ class AccuracyByCount(TableRecord, PlainRecord):
 
     def _within(self, row: Array) -> str:
         said = [
-            f"{name} {short(x, 3)}{unit and f' {unit}'}" if np.isfinite(x) else f"{name} has no bound"
+            f"{name} {above(x, 3)}{unit and f' {unit}'}" if np.isfinite(x) else f"{name} has no bound"
             for name, unit, x in zip(self.rows.names, self.rows.units, row, strict=True)
         ]
         return ", ".join(said)

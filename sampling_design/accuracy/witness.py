@@ -21,7 +21,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
-from sampling_design.records.declarations import selected
+from sampling_design.records.declarations import below, selected
 from sampling_design.records.record import Plain, Record, short
 
 KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is simulated anew
@@ -79,7 +79,7 @@ class AccuracyWitness(Record):
     outputs: Mask
     value: float
 
-    _table = {"value": "{value}", "samples": "{samples.size}", "duration": "{edges[-1]} {plant.time_unit}"}
+    _table = {"value": "{value:down}", "samples": "{samples.size}", "duration": "{edges[-1]} {plant.time_unit}"}
 
     def simulate(self, units: Array | None = None) -> WitnessRun:
         """Return what happens: the noise that hides the state at the samples, its end, and the disturbance.
@@ -166,7 +166,7 @@ class AccuracyWitness(Record):
         """Say what the witness does."""
         start = "an admissible start" if self.states[0].any() else "rest"
         return (
-            f"From {start}, a disturbance within its bound moves the row to {short(self.value)} in "
+            f"From {start}, a disturbance within its bound moves the row to {below(self.value)} in "
             f"{short(self.edges[-1])} {self.plant.time_unit} while noise within its bound makes all "
             f"{self.samples.size} samples read zero."
         )

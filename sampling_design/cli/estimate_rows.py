@@ -32,7 +32,7 @@ from sampling_design.estimators.record_intervals import estimates_despite_outlie
 from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.records.budget import Progress
 from sampling_design.records.file_io import AtomicWriter
-from sampling_design.records.record import short
+from sampling_design.records.record import above, short
 
 
 @dataclass(frozen=True)
@@ -187,6 +187,6 @@ def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.
 
 def _last(plant: sd.Plant, estimate: Estimate, kind: str, origin: str) -> RichTable:
     radii, labels = estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii, plant.states.labels()
-    rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
+    rows = [[labels[i], short(estimate.x[i]), above(radii[i])] for i in range(len(labels))]
     when = time_or_date(origin, estimate.t, plant.time_unit)
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

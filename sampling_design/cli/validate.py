@@ -27,7 +27,7 @@ from sampling_design.cli.settings import Settings, table
 from sampling_design.cli.sigma import window_length
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.file_io import write_text
-from sampling_design.records.record import short
+from sampling_design.records.record import below
 from sampling_design.records.units import time_factor
 
 
@@ -64,7 +64,7 @@ def validate(
             flag = name.replace("_", "-")
             settings.notice(f"--{flag} not given: the plant's scales are used, typical sizes, and trials stay in them.")
     if eta is None and certificate_file is None:
-        rate = f"{short(certificate.eta)} per {plant.time_unit}"
+        rate = f"{below(certificate.eta)} per {plant.time_unit}"
         settings.notice(f"--eta not given: {rate}, one over the longest gap, is used.")
     folder = settings.folder()
     journal = None if folder is None else folder / "validation.journal"

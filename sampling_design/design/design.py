@@ -35,6 +35,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
+from sampling_design.records.declarations import above, below
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -228,8 +229,8 @@ class _DesignRun:
     def say(self, fraction: float, message: str) -> None:
         """Tell what is known of the count that is worked on, and what is done."""
         if self.progress:
-            known = [f"sigma {self.sigma:.5g}"] if self.sigma > 0 else []
-            known += [f"bound {self.bound:.5g}"] if np.isfinite(self.bound) else []
+            known = [f"sigma {below(self.sigma, 5)}"] if self.sigma > 0 else []
+            known += [f"bound {above(self.bound, 5)}"] if np.isfinite(self.bound) else []
             known += [f"gap {100 * max(1 - self.sigma / self.bound, 0.0):.1f} %"] if len(known) == 2 else []
             self.progress(fraction, ", ".join([*known, message]))
 
@@ -479,7 +480,7 @@ def _out_of_reach(target: float, high: int, best: ScheduleDesign | None, too_few
     nearest: Tree = {**too_few, "target_sigma": None}  # where not even the most samples see the state
     reached = "no schedule that makes every state observable"
     if best is not None and best.schedule is not None and best.sigma > 0:
-        proven = float(f"{best.sigma * (1 - 5e-5):.5g}")
+        proven = float(below(best.sigma, 5))
         nearest = {"target_sigma": proven, "samples": len(best.schedule)}
         reached = f"{proven:g} with {len(best.schedule)} samples"
     return InfeasibleRequirementError(

@@ -21,7 +21,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
-from sampling_design.records.record import Plain, TableRecord, moment, short
+from sampling_design.records.record import Plain, TableRecord, above, below, moment
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
 
@@ -72,7 +72,7 @@ class SampleLosses(TableRecord):
     _answers = (
         "sigma of a design without each single sample",
         "proven: over every window, and what no schedule with one sample fewer exceeds",
-        "at worst {_least} of {sigma} is left",
+        "at worst {_least:down} of {sigma} is left",
         "`window_sigma` of the schedule without a sample",
     )
 
@@ -89,11 +89,11 @@ class SampleLosses(TableRecord):
         return {"sigma": self.sigma, "deviations": left, "every_period": self.every_period, "without": rows}
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", short(self.sigma))]
+        rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", below(self.sigma))]
         rows += [] if self.deviations is None else self.deviations._rows()[:1]
         columns = zip(self.times, self.lower, self.bound, strict=True)
         return rows + [
-            (f"without t = {moment(t, self.times)}", f"{short(v)}, none exceeds {short(b)}") for t, v, b in columns
+            (f"without t = {moment(t, self.times)}", f"{below(v)}, none exceeds {above(b)}") for t, v, b in columns
         ]
 
     def explain(self) -> str:
@@ -101,9 +101,9 @@ class SampleLosses(TableRecord):
         i = self.dearest
         how = "left out of every period" if self.every_period else "missed once"
         return (
-            f"If the sample at {moment(self.times[i], self.times)} is {how}, sigma falls from {short(self.sigma)} "
-            f"to {short(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
-            f"{short(self.bound[i])}."
+            f"If the sample at {moment(self.times[i], self.times)} is {how}, sigma falls from {below(self.sigma)} "
+            f"to {below(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
+            f"{above(self.bound[i])}."
             + ("" if self.deviations is None or self.deviations.in_sigma else f" {self.deviations.explain()}")
         )
 

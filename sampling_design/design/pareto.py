@@ -23,7 +23,7 @@ from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
-from sampling_design.records.record import ListRecord, PlainRecord, counted, short
+from sampling_design.records.record import ListRecord, PlainRecord, above, below, counted
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered
 from sampling_design.schedules.jitter import TimingTolerance
@@ -108,7 +108,7 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
         return [
             (
                 counted(p.samples, "sample"),
-                p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}{_left(p)}",
+                p.obstacle or f"sigma {below(p.sigma)}, none exceeds {above(p.upper_bound)}{_left(p)}",
             )
             for p in self.points
         ]
@@ -122,7 +122,7 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
         left = "" if good[-1].deviations is None else good[-1].deviations.explain()
         return (
             f"From {good[0].samples} to {good[-1].samples} samples per period sigma grows from "
-            f"{short(good[0].sigma)} to {short(good[-1].sigma)}."
+            f"{below(good[0].sigma)} to {below(good[-1].sigma)}."
             + (left and f" With {good[-1].samples} samples: {left[0].lower()}{left[1:]}")
         )
 
@@ -132,8 +132,8 @@ def _left(point: ParetoPoint) -> str:
     left = point.deviations
     if left is None:
         return ""
-    late = "" if left.in_sigma else f"; {left.tolerance.describe(left.time_unit)}: {short(left.late)}"
-    return f"{late}; one lost: {short(left.lost)}"
+    late = "" if left.in_sigma else f"; {left.tolerance.describe(left.time_unit)}: {below(left.late)}"
+    return f"{late}; one lost: {below(left.lost)}"
 
 
 @checked
@@ -202,7 +202,7 @@ def pareto_front(
             done_by_now = ParetoFront(tuple(known[c] for c in sorted(known) if known[c].obstacle != NO_TIME))
             write_text(resume, to_json({"format": FORMAT, "key": key, **done_by_now.to_dict()}))
         if progress:
-            progress((done + 1) / len(jobs), f"{counted(point.samples, 'sample')}: sigma {point.sigma:.6g}")
+            progress((done + 1) / len(jobs), f"{counted(point.samples, 'sample')}: sigma {below(point.sigma)}")
     return ParetoFront(tuple(known[c] for c in wanted))
 
 

@@ -24,7 +24,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
 from sampling_design.records.budget import Progress
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import ANSWERS, Plain, PlainRecord, counted, moment, short
+from sampling_design.records.record import ANSWERS, Plain, PlainRecord, above, below, counted, moment, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -158,8 +158,8 @@ class ScheduleDesign(PlainRecord):
         times = (f"samples are {self.late.describe(self.plant.time_unit)}",) if self.late else ()
         length = f"{short(self.requirement.window)} {self.plant.time_unit}"
         return Claim(
-            f"sigma >= {short(self.sigma)} over every window of {length}, and no admissible schedule with "
-            f"{self._counts} samples per period exceeds {short(self.upper_bound)}",
+            f"sigma >= {below(self.sigma)} over every window of {length}, and no admissible schedule with "
+            f"{self._counts} samples per period exceeds {above(self.upper_bound)}",
             theorem="Theorems 14 and 16; weak duality",
             assumptions=("the plant's matrices are exact", *times, f"sigma in {self.coordinates} coordinates"),
         )
@@ -231,8 +231,10 @@ class ScheduleDesign(PlainRecord):
     def _good(self) -> str:
         if self.schedule is None:
             return "every mode decays by itself at the rate asked for"
-        least = f"sigma at least {short(self.sigma)}, of no schedule more than {short(self.upper_bound)}"
-        gap = "a bound that says nothing of this design" if self.bound_is_vacuous else f"gap {100 * self.gap:.2f} %"
+        least = f"sigma at least {below(self.sigma)}, of no schedule more than {above(self.upper_bound)}"
+        gap = (
+            "a bound that says nothing of this design" if self.bound_is_vacuous else f"gap {above(100 * self.gap, 3)} %"
+        )
         return f"{least}: {gap} ({self.coordinates} coordinates, state at the window's start)"
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -310,22 +312,22 @@ class ScheduleDesign(PlainRecord):
             if tolerance and self.sigma_attained > 0:
                 return (
                     f"No schedule with {many}, each {tolerance.describe(unit)}, is proven to make {window} observable: "
-                    f"of the one found no sigma below {short(self.sigma_attained)} is known, and none exceeds "
-                    f"{short(self.upper_bound)}. Ask for a smaller `timing_tolerance`."
+                    f"of the one found no sigma below {below(self.sigma_attained)} is known, and none exceeds "
+                    f"{above(self.upper_bound)}. Ask for a smaller `timing_tolerance`."
                 )
             return (
                 f"No schedule with {many} was found that makes {window} observable; sigma of none exceeds "
-                f"{short(self.upper_bound)}, which does not show that there is none."
+                f"{above(self.upper_bound)}, which does not show that there is none."
             )
         makes = "makes" if len(self.schedule) == 1 else "make"
         late = f", each {tolerance.describe(unit)}" if tolerance else ""
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
-        near = f"an optimality gap of {100 * self.gap:.1f} %"
+        near = f"an optimality gap of {above(100 * self.gap, 3)} %"
         if self.bound_is_vacuous:
             near = "a bound so far off that it says nothing of how near the best this schedule is"
         return (
             f"{many} {makes} {rows or 'every state'} observable in every window, with sigma >= "
-            f"{short(self.sigma)}{late}; no admissible schedule can exceed {short(self.upper_bound)}, {near}.{left}"
+            f"{below(self.sigma)}{late}; no admissible schedule can exceed {above(self.upper_bound)}, {near}.{left}"
         )
 
 

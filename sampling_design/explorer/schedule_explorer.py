@@ -29,7 +29,7 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.declarations import plain
+from sampling_design.records.declarations import below, plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.records.units import readable_unit
@@ -352,7 +352,7 @@ class ScheduleExplorer:
             return {"said": "No small move of one sample repairs it: add one."}
         sigma, by, k = next(one for one in tried if one[0] >= MENDED * best)
         move = f"Move the sample at {self._at(float(times[k]))} by {self._at(by, 2)}"
-        said = f"{move}: sigma is then at least {short(sigma, 3)}."
+        said = f"{move}: sigma is then at least {below(sigma, 3)}."
         return {"said": said, "at": float(times[k]), "to": float(times[k] + by)}
 
     def _accuracy(self) -> Reply:

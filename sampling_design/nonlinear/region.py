@@ -12,8 +12,8 @@ from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.declarations import Converted, frozen, plain
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.declarations import Converted, above, below, frozen, plain
+from sampling_design.records.record import Plain, Record
 
 Box = tuple[Array, Array]
 
@@ -85,13 +85,13 @@ class StateRegion(Record):
         }
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("lower", short(self.lower)), ("upper", short(self.upper))]
+        rows = [("lower", above(self.lower)), ("upper", below(self.upper))]
         return [*rows, *([("half-spaces", str(len(self.rows)))] if len(self.rows) else [])]
 
     def explain(self) -> str:
         """Say which states belong."""
         more = f" and {len(self.rows)} half-spaces" if len(self.rows) else ""
-        return f"States between {short(self.lower)} and {short(self.upper)}{more}."
+        return f"States between {above(self.lower)} and {below(self.upper)}{more}."
 
 
 def _side(key: str, value: object, size: int) -> Array:

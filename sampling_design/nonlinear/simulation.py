@@ -13,6 +13,7 @@ from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.declarations import above, below
 from sampling_design.records.signatures import checked
 from sampling_design.uncertain.plants.time_varying import CLOSER, MatrixOfTime, TimeVaryingPlant, integrated
 from sampling_design.uncertain.plants.time_varying import TOLERANCE as ALONG
@@ -240,7 +241,7 @@ def require_inside(plant: NonlinearPlant, name: str, x: Array) -> None:
         i = int(outside[0])
         raise ArgumentError(
             f"`{name}` must lie in the plant's box of states, got {plant.signals['states'].names[i]} = {x[i]:.6g} "
-            f"outside [{lower[i]:.6g}, {upper[i]:.6g}]."
+            f"outside [{above(lower[i])}, {below(upper[i])}]."
         )
 
 

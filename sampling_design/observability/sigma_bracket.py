@@ -14,7 +14,7 @@ from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, PlainRecord, Record, short
+from sampling_design.records.record import Plain, PlainRecord, Record, above, below, short
 from sampling_design.schedules.jitter import TimingTolerance
 
 UNSETTLED = ("budget", "interrupted", "rounding", "units", "timing", "too many states", "sampled")
@@ -82,27 +82,27 @@ class SigmaDeviations(Record):
         wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
         which = "" if self.lost_sample is None else f" (sample {self.lost_sample + 1})"
         looked = ", sampled" if self.sampled else ""
-        lost = ("if one sample is lost", short(self.lost) + which + looked)
+        lost = ("if one sample is lost", below(self.lost) + which + looked)
         if self.in_sigma:  # sigma itself is then of such times
             return [lost]
-        late = f"{short(self.late)}; {short(self.late_wider)} in {wider}{looked}"
+        late = f"{below(self.late)}; {below(self.late_wider)} in {wider}{looked}"
         return [(f"if {self.tolerance.describe(self.time_unit)}", late), lost]
 
     def explain(self) -> str:
         """Say what is left of sigma; of late samples only where they were not asked for."""
         if self.in_sigma:
-            return f"If one sample is lost, sigma is at least {short(self.lost)}."
+            return f"If one sample is lost, sigma is at least {below(self.lost)}."
         wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
         if self.sampled:
             return (
                 f"Of samples that come {self.tolerance.describe(self.time_unit)}, sigma was seen to fall to "
-                f"{short(self.late)}, and to {short(self.late_wider)} over windows that are {wider} longer; of one "
-                f"lost sample to {short(self.lost)}. None of this is proven."
+                f"{below(self.late)}, and to {below(self.late_wider)} over windows that are {wider} longer; of one "
+                f"lost sample to {below(self.lost)}. None of this is proven."
             )
         return (
-            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
-            f"over windows that are {wider} longer {short(self.late_wider)}. If one sample is lost, sigma is at least "
-            f"{short(self.lost)}."
+            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {below(self.late)}, and "
+            f"over windows that are {wider} longer {below(self.late_wider)}. If one sample is lost, sigma is at least "
+            f"{below(self.lost)}."
         )
 
 
@@ -149,7 +149,7 @@ class SigmaBracket(PlainRecord):
         return self.lower == 0 and not self.closed
 
     def _at_least(self) -> str:
-        return "0, undecided" if self._is_undecided else short(self.lower)
+        return "0, undecided" if self._is_undecided else below(self.lower)
 
     @property
     def _grounds(self) -> str:
@@ -164,10 +164,10 @@ class SigmaBracket(PlainRecord):
         """
         if self._is_undecided and self.status in reasons:
             return (
-                f"Nothing is proven yet, whether sigma is positive is undecided: {short(self.upper)} is attained, and "
+                f"Nothing is proven yet, whether sigma is positive is undecided: {above(self.upper)} is attained, and "
                 f"{reasons[self.status]}. {where}."
             )
-        attained = f"{short(self.upper)} is attained"
+        attained = f"{above(self.upper)} is attained"
         reached = f"; {attained}, and {reasons[self.status]}" if self.status in reasons else f" and {attained}"
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
         return f"{claim}{reached}. {where}.{left}"

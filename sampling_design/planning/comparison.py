@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.figures import LOST, PlanFigures
 from sampling_design.planning.problem import RowGoal
-from sampling_design.records.declarations import Column
+from sampling_design.records.declarations import Column, above, below
 from sampling_design.records.record import ListRecord, Plain, short
 from sampling_design.records.units import spoken, time_factor
 
@@ -73,13 +73,13 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
         ]
         if self.first.schedule.period != self.second.schedule.period:
             rows.append(both("cost of a day", lambda p: short(self.a_day(p, p.cost))))
-        rows.append(both("no plan for less than", lambda p: "-" if p.bound.cost is None else short(p.bound.cost.value)))
+        rows.append(both("no plan for less than", lambda p: "-" if p.bound.cost is None else below(p.bound.cost.value)))
         for goal in self.shared():
             mark = f" {goal.unit}" if goal.unit else ""
-            first, second = (f"{short(value, 4)}{mark}" for value in self.reached(goal.name))
+            first, second = (f"{above(value, 4)}{mark}" for value in self.reached(goal.name))
             rows.append((goal.name, (first, second)))
-        rows.append(both("of the tolerances", lambda p: short(p.ratio, 4)))
-        rows.append(both("could gain at most", lambda p: f"{100 * p.gap:.2g} %"))
+        rows.append(both("of the tolerances", lambda p: above(p.ratio, 4)))
+        rows.append(both("could gain at most", lambda p: f"{above(100 * p.gap, 2)} %"))
         if any(p.robustness is not None or "robustness" in p.left_out for p in self.plans):
             rows += [
                 both("one sample late by", lambda p: _bears(p, "late", unit)),
@@ -91,7 +91,7 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
     _answers = (
         "two plans for one plant: {names}",
         "proven: what each plan keeps, and what none beats",
-        "{first.ratio:4} and {second.ratio:4} of the tolerances",
+        "{first.ratio:4up} and {second.ratio:4up} of the tolerances",
         "`.first.verify()`, `.second.verify()`",
     )
 
@@ -141,4 +141,4 @@ def _bears(plan: PlanFigures, what: str, unit: str) -> str:
 def _rate(plan: PlanFigures) -> str:
     if plan.certificate is None:
         return "left out" if "certificate" in plan.left_out else "-"
-    return f"{short(plan.certificate.eta)} 1/{plan.plant.time_unit}"
+    return f"{below(plan.certificate.eta)} 1/{plan.plant.time_unit}"

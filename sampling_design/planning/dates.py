@@ -28,7 +28,7 @@ from sampling_design.planning.sequence_deviation import (
 )
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.record import ListRecord, PlainRecord, counted, short
+from sampling_design.records.record import ListRecord, PlainRecord, above, counted
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
@@ -125,7 +125,7 @@ class PlanDates(ListRecord[PlannedDate], PlainRecord):
             rows.append(("from, to", f"{self.entries[0].date:%Y-%m-%d}, {self.entries[-1].date:%Y-%m-%d}"))
         rows.append(("kept from", self._since()))
         for e in self.exceptions:
-            rows.append((e.date, f"{e.what}: {short(e.ratio, 4)} of the tolerance{'' if e.proven else ', not proven'}"))
+            rows.append((e.date, f"{e.what}: {above(e.ratio, 4)} of the tolerance{'' if e.proven else ', not proven'}"))
         return rows
 
     def _since(self) -> str:

@@ -21,7 +21,7 @@ from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import PlainRecord, TableRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, above
 from sampling_design.records.units import SECONDS, spoken
 from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -70,7 +70,7 @@ class PlanRobustness(TableRecord, PlainRecord):
 
     def _rows(self) -> list[tuple[str, str]]:
         worst = float(np.max(self.lost_ratio))
-        missed = f"{short(worst, 4)} of the tolerance" if np.isfinite(worst) else "beyond all bounds"
+        missed = f"{above(worst, 4)} of the tolerance" if np.isfinite(worst) else "beyond all bounds"
         step = spoken(float(np.min(self.step)), self.time_unit)
         late = spoken(self.least_late, self.time_unit) if self.least_late else f"less than {step}"
         return [
@@ -88,7 +88,9 @@ class PlanRobustness(TableRecord, PlainRecord):
         )
         lost = f"{LOST[self.lost]} may be lost" if self.lost else "no sample may be lost"
         worst = float(np.max(self.lost_ratio))
-        after = f": after one loss errors reach {100 * worst:.3g} % of the tolerance" if np.isfinite(worst) else ""
+        after = (
+            f": after one loss errors reach {above(100 * worst, 3)} % of the tolerance" if np.isfinite(worst) else ""
+        )
         return f"{text}; {lost}{after}."
 
 
@@ -128,7 +130,7 @@ class PlanStart(PlainRecord):
 
     def explain(self) -> str:
         """Say from when on the tolerances are kept."""
-        return f"Once the plan is started, {self.since()} ({short(self.ratio, 3)} of them)."
+        return f"Once the plan is started, {self.since()} ({above(self.ratio, 3)} of them)."
 
 
 def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:

@@ -25,7 +25,7 @@ from sampling_design.planning.sampling_sheet import write_form, write_sheet
 from sampling_design.plants.files import write_plant
 from sampling_design.plants.functional import FunctionalPlant, is_about
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.declarations import Column, plain, selected
+from sampling_design.records.declarations import Column, above, below, plain, selected
 from sampling_design.records.file_io import to_json, write_text
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.signatures import checked
@@ -238,27 +238,29 @@ class Plan(PlanFigures):
         return f"{counted(self.samples, 'sample')} in {spoken(self.schedule.period, self.plant.time_unit)}{cost}"
 
     def _good(self) -> str:
-        more = f"at most {100 * self.gap:.2g} %" if self.bound.ratio is not None else "nobody has bounded how much"
-        return f"{short(self.ratio, 4)} of the tolerances; {more} could be gained"
+        more = (
+            f"at most {above(100 * self.gap, 2)} %" if self.bound.ratio is not None else "nobody has bounded how much"
+        )
+        return f"{above(self.ratio, 4)} of the tolerances; {more} could be gained"
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = list[tuple[str, str]]()
         if self.bound.cost is not None:
-            rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
+            rows.append(("no plan keeps it for less than", below(self.bound.cost.value)))
         rows += [("samples come", self._late())] if self._late() else []
         for value, goal in zip(self.reached, self.goals, strict=True):
             unit = f" {goal.unit}" if goal.unit else ""
-            text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({goal.when()})"
+            text = f"{above(value, 4)} of {short(goal.tolerance)}{unit} ({goal.when()})"
             if self.bound.ratio is not None and len(self.goals) == 1:
-                text += f"; no plan of this cost below {short(self.bound.ratio.level * goal.tolerance, 4)}"
+                text += f"; no plan of this cost below {below(self.bound.ratio.level * goal.tolerance, 4)}"
             rows.append((goal.name, text))
         if self.bound.ratio is not None and len(self.goals) > 1:
-            level = short(self.bound.ratio.level, 4)
-            rows.append(("of the tolerances", f"{short(self.ratio, 4)}; no plan of this cost below {level}"))
+            level = below(self.bound.ratio.level, 4)
+            rows.append(("of the tolerances", f"{above(self.ratio, 4)}; no plan of this cost below {level}"))
         rows += [] if self.start is None else self.start._rows()
         rows += [] if self.robustness is None else self.robustness._rows()
         if self.certificate is not None:
-            eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
+            eta = f"{below(self.certificate.eta)} 1/{self.plant.time_unit}"
             part = self.certificate.plant
             certified = ", ".join(part.wanted.names) if isinstance(part, FunctionalPlant) else "the whole state"
             rows.append(("certificate", f"the samples show {certified}; rate {eta}"))
@@ -279,19 +281,19 @@ class Plan(PlanFigures):
         """Say what the plan keeps, and what no other can."""
         unit = "" if self.problem.counts else f", at a cost of {short(self.cost)},"
         parts = [
-            f"{g.name} within {short(v, 3)}{' ' * bool(g.unit)}{g.unit}{' (standard deviation)' * g.stochastic}"
+            f"{g.name} within {above(v, 3)}{' ' * bool(g.unit)}{g.unit}{' (standard deviation)' * g.stochastic}"
             for v, g in zip(self.reached, self.goals, strict=True)
         ]
         text = f"{counted(self.samples, 'sample')} every {spoken(self.schedule.period, self.plant.time_unit)}{unit} "
         text += "keeps " if self.samples == 1 else "keep "
         text += ", ".join(parts) + (f", for samples {self._late()}." if self._late() else ".")
         if self.bound.cost is not None:
-            text += f" No admissible plan keeps the tolerances for less than {short(self.bound.cost.value)}."
+            text += f" No admissible plan keeps the tolerances for less than {below(self.bound.cost.value)}."
             text += self._for_less(self.bound.cost.value)
         if self.bound.ratio is not None:
             share = 100 * self.bound.ratio.level
-            text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
-            text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
+            text += f" No admissible plan of this cost is better than {below(share, 3)} % of every tolerance: this one"
+            text += f" needs {above(100 * self.ratio, 3)} %, so at most {above(100 * self.gap, 2)} % could be gained."
         text += UNSTARTED if self.start is None else f" {self.start.explain()}"
         text += "" if self.robustness is None else f" {self.robustness.explain()}"
         return f"{text} Left out: {self.unsaid()}." if self.left_out else text

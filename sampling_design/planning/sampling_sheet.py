@@ -11,7 +11,7 @@ from sampling_design.errors import FileFormatError
 from sampling_design.planning.dates import PlanDates
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.records.file_io import csv_cell, write_text
-from sampling_design.records.record import short
+from sampling_design.records.record import above, short
 from sampling_design.records.signatures import checked
 
 STYLE = """
@@ -81,7 +81,7 @@ def _promised(plan: PlanFigures) -> str:
         unit, kept = f" {goal.unit}" * bool(goal.unit), reached <= goal.tolerance
         bound = f"within {short(goal.tolerance)}{unit}"
         if not kept:
-            bound = f"{short(reached, 4)}{unit} instead of {short(goal.tolerance)}{unit}"
+            bound = f"{above(reached, 4)}{unit} instead of {short(goal.tolerance)}{unit}"
         said[kept].append(f"{goal.name} {bound} ({goal.when()})")
     words = {True: "Kept by these samples", False: "Not kept, even if every sample is taken"}
     return " ".join(f"{words[kept]}: {'; '.join(goals)}." for kept, goals in said.items() if goals)

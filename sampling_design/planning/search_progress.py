@@ -14,6 +14,7 @@ import numpy as np
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget, Progress
+from sampling_design.records.declarations import below
 
 CONE = (1e-3, 1e-6)  # work of a cone program, and for each entry that is not zero
 STAGES = (1e-2, 1.5e-5)  # of a program over stages, and for each of them, with n states, n^1.5 times
@@ -102,6 +103,6 @@ class PlanProgress:
         self.done = max(self.done, fraction, searched)
         known = [self.best] if self.best else []
         if self.bound > 0:
-            least = f"{self.bound:g}" if self._cheapest else f"{100 * self.bound:.1f} %"
+            least = below(self.bound) if self._cheapest else f"{below(100 * self.bound, 3)} %"
             known += [f"none below {least}", f"gap {100 * max(1 - self.bound / self.reached, 0.0):.1f} %"]
         self.report(self.done, ", ".join([*known, message]))

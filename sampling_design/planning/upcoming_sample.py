@@ -21,7 +21,7 @@ from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
-from sampling_design.records.declarations import selected
+from sampling_design.records.declarations import above, selected
 from sampling_design.records.record import Plain, Record, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.opening import WEEK
@@ -123,7 +123,7 @@ class NextSample(Record):
         same = date is not None and latest is not None and date.date() == latest.date()
         return f"{date:%H:%M}" if same else self.when(t, self.now)
 
-    _answers = ("{_what}", "{_evidence}", "{ratio:4} of the tolerance", "`next_sample` with `now` at `.latest`")
+    _answers = ("{_what}", "{_evidence}", "{ratio:4up} of the tolerance", "`next_sample` with `now` at `.latest`")
 
     def _what(self) -> str:
         return "when the next sample must be taken" if self.keeps else "which sample brings the tolerances back"
@@ -141,7 +141,7 @@ class NextSample(Record):
         for name, value in self.known.items():
             goal = goals[name]
             unit = f" {goal.unit}" if goal.unit else ""
-            now = f"within {short(value, 4)}{unit}" if np.isfinite(value) else "not known yet"
+            now = f"within {above(value, 4)}{unit}" if np.isfinite(value) else "not known yet"
             rows.append((f"{name} now", f"{now} (tolerance {short(goal.tolerance)})"))
         for one in self.awaited:
             early = f"from {self.when(one.earliest, self.now)} to " if self.now < one.earliest < one.latest else "by "
@@ -168,7 +168,7 @@ class NextSample(Record):
         """What a later sample would do, in words."""
         if deadline.breaks:
             return f"{deadline.goal} reaches its tolerance by {self.when(deadline.time, self.now)}"
-        share = f"{short(deadline.ratio, 4)} of its tolerance"
+        share = f"{above(deadline.ratio, 4)} of its tolerance"
         return f"{deadline.goal} comes to {share} by {self.when(deadline.time, self.now)}, and more is not ruled out"
 
     def _read_at(self, t: float, outputs: tuple[str, ...]) -> str:
@@ -178,7 +178,7 @@ class NextSample(Record):
     def explain(self) -> str:
         """Say when to sample."""
         if not np.isfinite(self.latest):
-            after = f" ({short(self.ratio, 4)} of them after the last one tried)" if np.isfinite(self.ratio) else ""
+            after = f" ({above(self.ratio, 4)} of them after the last one tried)" if np.isfinite(self.ratio) else ""
             text = f"No allowed sample is proven to bring the tolerances back{after}: keep to the plan's next one"
             return f"{self._state()}{text}, or sample as soon as the place is open."
         if not self.keeps:
@@ -206,7 +206,7 @@ class NextSample(Record):
         goal = next(goal for goal in self.plan.goals if goal.name == self.exceeded.goal)
         if not np.isfinite(self.known.get(goal.name, 0.0)):
             return f"{goal.name} is not known yet: what was read since the start does not tell the state. "
-        within = short(self.known.get(goal.name, self.exceeded.ratio * goal.tolerance), 4)
+        within = above(self.known.get(goal.name, self.exceeded.ratio * goal.tolerance), 4)
         unit = f" {goal.unit}" if goal.unit else ""
         text = f"{goal.name} has been above its tolerance of {short(goal.tolerance)}{unit} since "
         return f"{text}{self.when(self.exceeded.time)}: within {within}{unit} now. "

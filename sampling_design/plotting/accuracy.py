@@ -12,7 +12,7 @@ from sampling_design.accuracy.projection import Projection
 from sampling_design.accuracy.results_out import SAME
 from sampling_design.plotting import style
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import short
+from sampling_design.records.record import above, below, short
 
 
 def draw_accuracy(
@@ -97,8 +97,8 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
     _mark_worst(one, result, k)
     style.from_below(one, *_range(in_range))
     unit = result.rows.units[k]
-    found = f"guaranteed within {short(result.upper[k], 4)} {unit}".rstrip()
-    least = f"nobody guarantees less than {short(result.lower[k], 4)} {unit}".rstrip()
+    found = f"guaranteed within {above(result.upper[k], 4)} {unit}".rstrip()
+    least = f"nobody guarantees less than {below(result.lower[k], 4)} {unit}".rstrip()
     one.set_title(f"{found}; {least}", loc="left", fontsize="medium")
 
 

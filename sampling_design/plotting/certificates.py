@@ -19,7 +19,7 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.certificates.families.graphs import family_in_words
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plotting import style
-from sampling_design.records.record import short
+from sampling_design.records.record import above, below, short
 from sampling_design.records.units import readable_unit
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
@@ -31,7 +31,7 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
     lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated)
     losses = f"losses of {lost}" if lost else "no loss"
     unit = result.certificate.plant.time_unit or ""
-    words = f"survives timing errors up to {short(result.radius, 4)} {unit} and {losses}"
+    words = f"survives timing errors up to {below(result.radius, 4)} {unit} and {losses}"
     # a panel of losses only where some were tried with a lambda to show
     found = any(np.isfinite(loss.lam) for loss in result.losses)
     figure, panels = style.new_figure(2 if found else 1, row_height=2.8)
@@ -111,7 +111,7 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
         ax.plot(times, np.insert(column, breaks, np.nan), color=style.MEASURED, linewidth=1.3, marker=".", label=label)
     ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
     ax.axhline(
-        certificate.lam, color=style.PROVEN, linestyle="--", linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}"
+        certificate.lam, color=style.PROVEN, linestyle="--", linewidth=1.2, label=f"lambda: {above(certificate.lam, 4)}"
     )
     style.log_axis(ax)
     ax.axvspan(
@@ -183,13 +183,13 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
         colour, width = (style.TRUTH, 1.6) if node == 0 else (style.MEASURED, 0.9)
         label = {0: "after the window's start", 1: "after samples, one for each node"}.get(node)
         ax.plot(s, lam, color=colour, linewidth=width, alpha=0.8, label=label)
-    ax.axhline(certificate.lam, color=style.PROVEN, linewidth=1.2, label=f"lambda: {short(certificate.lam, 5)}")
+    ax.axhline(certificate.lam, color=style.PROVEN, linewidth=1.2, label=f"lambda: {above(certificate.lam, 5)}")
     ax.set_ylim(bottom=0.0)
     style.time_axis(ax, plant.time_unit, "time since the last sample")
     ax.set_ylabel("prior weight over information kept")
     family = certificate.family
     unit = "" if family.time_unit else f", times in {plant.time_unit}"
-    said = f"lambda {short(certificate.lam, 4)} proven{unit}. {family_in_words(plant, family)}"
+    said = f"lambda {above(certificate.lam, 4)} proven{unit}. {family_in_words(plant, family)}"
     ax.set_title(said, loc="left", fontsize="medium", wrap=True)
     style.legend(ax)
     return ax
@@ -223,7 +223,7 @@ def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
         ax.hlines(k, low, at, color=style.ALLOWED, linewidth=0.8, linestyle=":")
         ax.plot([at], [k], "o", color=colour, markersize=9)
         ax.annotate(
-            short(factor * row.minimum, 4),
+            above(factor * row.minimum, 4),
             (at, k),
             xytext=(9, 0),
             textcoords="offset points",
@@ -237,5 +237,5 @@ def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
     enough = horizons.rows[2].minimum
     ax.set_xlabel(style.time_label(unit, "horizon M must exceed"))
     if enough is not None:
-        ax.set_title(f"a horizon above {short(factor * enough, 4)} {unit} is proven to be enough", loc="left")
+        ax.set_title(f"a horizon above {above(factor * enough, 4)} {unit} is proven to be enough", loc="left")
     return ax

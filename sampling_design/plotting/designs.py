@@ -18,7 +18,7 @@ from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plotting import style
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import counted, short
+from sampling_design.records.record import above, below, counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -97,11 +97,11 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.set_ylim(bottom=0.0)
     style.time_axis(ax, result.time_unit, "time in the window")
     ax.set_ylabel("output of a state of size 1")
-    ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
+    ax.set_title(f"sigma {below(result.lower, 4)} proven, {above(result.upper, 4)} attained", loc="left")
     if (left := result.deviations) is not None:  # these are sigmas, the curve is of one state
-        wider = f"{short(left.late, 4)}, {short(left.late_wider, 4)} in longer windows"
+        wider = f"{below(left.late, 4)}, {below(left.late_wider, 4)} in longer windows"
         late = "" if left.in_sigma else f"if late or early: {wider}; "
-        ax.set_title(f"{late}if one is lost: {short(left.lost, 4)}", loc="right", fontsize="small")
+        ax.set_title(f"{late}if one is lost: {below(left.lost, 4)}", loc="right", fontsize="small")
     style.legend(ax)
     return ax
 
@@ -163,7 +163,7 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     style.from_below(ax, min(least), float(bound.max()))
     _whole_counts(ax)
     ax.set_ylabel("sigma")
-    ends = (f"{counted(p.samples, 'sample')}: sigma {short(p.sigma, 4)}" for p in (points[0], points[-1]))
+    ends = (f"{counted(p.samples, 'sample')}: sigma {below(p.sigma, 4)}" for p in (points[0], points[-1]))
     ax.set_title("; ".join(dict.fromkeys(ends)), loc="left")
     style.legend(ax)
     return ax
@@ -175,13 +175,13 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.vlines(losses.times, losses.lower, losses.sigma, color=style.PROVEN, linewidth=1.2)
     ax.plot(losses.times, losses.lower, "o", color=style.PROVEN, label="without this sample (proven)")
     ax.plot(losses.times, losses.bound, "_", color=style.TRUTH, markersize=10, label="no schedule of one fewer exceeds")
-    ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {short(losses.sigma, 4)}")
+    ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {below(losses.sigma, 4)}")
     for t, low in zip(losses.times, losses.lower, strict=True):
         said = f"{100 * (low / losses.sigma - 1):+.0f} %" if losses.sigma > 0 else ""
         ax.annotate(said, (t, low), xytext=(7, 0), textcoords="offset points", va="center", fontsize="small")
     top, least = max(losses.sigma, float(np.max(losses.bound))), float(min(np.min(losses.lower), losses.sigma))
     if (left := losses.deviations) is not None and not left.in_sigma:
-        label = f"with all, {left.tolerance.describe(left.time_unit)}: {short(left.late, 4)}"
+        label = f"with all, {left.tolerance.describe(left.time_unit)}: {below(left.late, 4)}"
         ax.axhline(left.late, color=style.PROVEN, linestyle="-.", linewidth=1.0, label=label)
         least = min(least, left.late)
     style.from_below(ax, least, top)
@@ -201,9 +201,9 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
         return np.inf
     color, looked = (style.ATTAINED, " (sampled)") if found.sampled else (style.PROVEN, "")
     if not found.in_sigma:
-        label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}{looked}"
+        label = f"if {found.tolerance.describe(found.time_unit)}: {below(found.late, 4)}{looked}"
         ax.axhline(found.late, color=color, linestyle="-.", linewidth=1.0, label=label)
-    lost = f"if one sample is lost: {short(found.lost, 4)}{looked}"
+    lost = f"if one sample is lost: {below(found.lost, 4)}{looked}"
     ax.axhline(found.lost, color=color, linestyle=":", linewidth=1.0, label=lost)
     return min(found.late, found.lost)
 
@@ -220,19 +220,19 @@ def draw_window_sigma(
     curve = style.by_pieces(profile.t, profile.sigma, profile.piece)
     ax.plot(*curve, color=style.MEASURED, linewidth=2.2, label="sigma of the window")
     ax.axhline(
-        result.lower, color=style.PROVEN, linewidth=1.2, label=f"proven for every position: {short(result.lower, 4)}"
+        result.lower, color=style.PROVEN, linewidth=1.2, label=f"proven for every position: {below(result.lower, 4)}"
     )
     # an open ring where sigma is only a one-sided limit, a full one where it is reached
     face = style.ATTAINED if result.witness.side == "at" else "none"
     (worst,) = ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face)
     side, end = result.witness.side, style.moment(ax, result.witness.t, result.time_unit, origin=origin)
-    worst.set_label(f"attained: {short(result.upper, 4)}, window ends {'' if side == 'at' else f'just {side} '}{end}")
+    worst.set_label(f"attained: {above(result.upper, 4)}, window ends {'' if side == 'at' else f'just {side} '}{end}")
     least = min(result.lower, draw_deviations(result.deviations, ax) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
     kind = result.coordinates
     ax.set_ylabel("sigma (state at window's start)" if kind == "physical" else f"sigma ({kind}, at start)")
-    ax.set_title(f"sigma is at least {short(result.lower, 4)} in every window", loc="left")
+    ax.set_title(f"sigma is at least {below(result.lower, 4)} in every window", loc="left")
     style.legend(ax, columns)
     return ax
 
@@ -261,7 +261,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     bottom.set_title("", loc="left")  # the whole picture has one
     top_value, gap = float(sigma_found.profile.sigma.max()), "the bound on all schedules is too far off to say more"
     if not result.bound_is_vacuous:
-        note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
+        note = f"no admissible schedule exceeds {above(result.upper_bound, 4)}"
         bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
         top_value, gap = max(result.upper_bound, top_value), f"gap {100 * result.gap:.1f} %"
     least = draw_deviations(result.deviations, bottom)
@@ -272,7 +272,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
         style.dates(bottom, schedule.time_unit, schedule.origin)
         bottom.set_xlabel(label.partition(" [")[0])
     late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
-    figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, {gap}", wrap=True)
+    figure.suptitle(f"{result.plant.name}: sigma {below(result.sigma, 4)} proven{late}, {gap}", wrap=True)
     return style.Panels([top, bottom])
 
 

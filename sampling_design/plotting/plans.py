@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.plotting import style
-from sampling_design.records.record import short
+from sampling_design.records.record import above, short
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.opening import week_hours
 
@@ -78,7 +78,7 @@ def draw_plan(result: PlanFigures, ax: Axes | None = None) -> Axes | style.Panel
         one.set_xlim(*whole(result))
         mark_days(result, one)
     style.one_time_axis(axes)
-    kept = "the tolerances are kept" if result.keeps else f"errors reach {short(result.ratio, 3)} of the tolerances"
+    kept = "the tolerances are kept" if result.keeps else f"errors reach {above(result.ratio, 3)} of the tolerances"
     figure.suptitle(f"{result.plant.name or 'plan'}: {kept}, {priced(result)} a period", wrap=True)
     return axes
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from sampling_design.plotting import style
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import short
+from sampling_design.records.record import below, short
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.schedule_log import ScheduleLog
 
@@ -90,7 +90,7 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         (log.planned_sigma, style.ALLOWED, 3.5, "planned"),
         (log.actual_sigma, style.MEASURED, 1.3, "actual"),
     ):
-        profile, label = sigma.profile, f"{name}: at least {short(sigma.lower, 4)}"
+        profile, label = sigma.profile, f"{name}: at least {below(sigma.lower, 4)}"
         in_view = (low <= profile.t) & (profile.t <= high)
         curve = style.by_pieces(profile.t[in_view], profile.sigma[in_view], profile.piece[in_view])
         bottom.plot(*curve, color=colour, linewidth=width, label=label)

@@ -57,8 +57,19 @@ class Converted(Generic[Converting, Held]):
 
 
 STEP = re.compile(r"-?\w+")
-PLACE = re.compile(r"\{([\w.\[\]-]+)(?::(\d*)(?:or ([^}]*))?)?\}")
-"""A place of a template: the path, the number of digits, and the word for what is absent."""
+PLACE = re.compile(r"\{([\w.\[\]-]+)(?::(\d*)(up|down)?(?:or ([^}]*))?)?\}")
+"""A place of a template: the path, the number of digits, which way it is rounded, and the word for what is absent."""
+BOUNDS = {
+    **dict.fromkeys(
+        ("upper", "upper_bound", "lam", "lam_samples", "minimum", "C_x", "C_w", "C_v", "c_w", "c_y", "overshoot",
+         "radii", "sigma_attained", "outer", "frequency_spread", "broken", "residual"), True,
+    ),
+    **dict.fromkeys(
+        ("lower", "sigma", "late", "late_wider", "lost", "eta", "eta_tilde", "margin", "critical_length", "inner",
+         "share", "kept", "level"), False,
+    ),
+}  # fmt: skip
+"""Which way bounds are rounded where they are printed, by their names: up, so that no more is said than is proven."""
 ITEM = re.compile(r"(\w+)(\?)?(?::([\w.\[\]-]+))?(?:\{([^{}]*)\})?")
 """An entry of plain data: the key, whether it may be left out, the path, and what of it is said."""
 
@@ -70,18 +81,20 @@ def said(record: object, template: str) -> str | None:
     ----------
     template : str
         "{eta} 1/{plant.time_unit}", "{margin:3}" with so many digits, "{name:or -}" with a word for what is None or
-        empty (none: the line is left out).
+        empty (none: the line is left out), "{radius:down}" a bound that is not among `BOUNDS`.
     """
     absent = False
 
     def at(place: re.Match[str]) -> str:
         nonlocal absent
-        path, digits, other = place.groups()
+        path, digits, way, other = place.groups()
         value = _reached(record, path)
         if value is None or (other is not None and _empty(value)):
             absent = absent or not other
             return other or ""
-        return in_words(value, int(digits or 6))
+        name = [step for step in STEP.findall(path) if step.isidentifier()][-1]
+        up = BOUNDS.get(name) if way is None else way == "up"
+        return in_words(value, int(digits or 6), up)
 
     text = PLACE.sub(at, template)
     return None if absent else text
@@ -146,14 +159,38 @@ def _empty(value: object) -> bool:
     return not value if shape is None else shape != () and not len(value)
 
 
-def short(value: object, digits: int = 6) -> str:
-    """Return a number, or a short list of numbers, as text of `digits` significant digits."""
+def short(value: object, digits: int = 6, up: bool | None = None) -> str:
+    """Return a number, or a short list of numbers, as text of `digits` significant digits.
+
+    Parameters
+    ----------
+    up : bool, optional
+        What is read back is no less than the number (an upper bound), or no more (False); None: the nearest.
+    """
     numbers = np.asarray(value, dtype=float)
     if numbers.ndim == 0:
-        return f"{float(numbers):.{digits}g}"
+        return _digits(float(numbers), digits, up)
     flat = numbers.ravel()
-    listed = ", ".join(f"{v:.{digits}g}" for v in flat[:SHOWN])
+    listed = ", ".join(_digits(float(v), digits, up) for v in flat[:SHOWN])
     return f"[{listed}{', ...' if flat.size > SHOWN else ''}]"
+
+
+def _digits(value: float, digits: int, up: bool | None) -> str:
+    nearest = f"{value:.{digits}g}"
+    if up is None or not math.isfinite(value) or (float(nearest) >= value if up else float(nearest) <= value):
+        return nearest
+    outward = Context(prec=digits, rounding=ROUND_CEILING if up else ROUND_FLOOR).create_decimal(value)
+    return f"{float(outward):.{digits}g}"
+
+
+def below(value: object, digits: int = 6) -> str:
+    """A lower bound as text: rounded down, so that it says no more than is proven."""
+    return short(value, digits, up=False)
+
+
+def above(value: object, digits: int = 6) -> str:
+    """An upper bound as text: rounded up, so that it says no more than is proven."""
+    return short(value, digits, up=True)
 
 
 def probability(value: float, digits: int = 6, up: bool = False) -> str:
@@ -163,8 +200,7 @@ def probability(value: float, digits: int = 6, up: bool = False) -> str:
     """
     missing = 1.0 - value
     digits = min(2 - math.floor(math.log10(missing)), 17) if 0 < missing < 10.0**-digits else digits
-    context = Context(prec=digits, rounding=ROUND_CEILING if up else ROUND_FLOOR)
-    return short(float(context.create_decimal(value)), digits)
+    return short(value, digits, up)
 
 
 def moment(value: object, beside: npt.ArrayLike = ()) -> str:
@@ -206,9 +242,9 @@ def in_latex(text: str) -> str:
     return " ".join(text.translate(LATEX).split())
 
 
-def latex_number(value: float, digits: int = 6) -> str:
-    """Return a number for LaTeX's mathematics, 1.6e-07 as a power of ten."""
-    text = short(value, digits)
+def latex_number(value: float, digits: int = 6, up: bool | None = None) -> str:
+    """Return a number for LaTeX's mathematics, 1.6e-07 as a power of ten, rounded as by `short`."""
+    text = short(value, digits, up)
     mantissa, _, power = text.partition("e")
     return rf"{mantissa} \cdot 10^{{{int(power)}}}" if power else text.replace("inf", r"\infty")
 
@@ -241,7 +277,7 @@ def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str
 
 
 @singledispatch
-def in_words(value: object, digits: int = 6) -> str:
+def in_words(value: object, digits: int = 6, up: bool | None = None) -> str:
     """Return a value as a table says it: numbers short, truths as yes or no, names and named values in a row."""
     return str(value)
 
@@ -249,25 +285,25 @@ def in_words(value: object, digits: int = 6) -> str:
 @in_words.register(float)
 @in_words.register(np.floating)
 @in_words.register(np.ndarray)
-def _numbers_in_words(value: object, digits: int = 6) -> str:
-    return short(value, digits)
+def _numbers_in_words(value: object, digits: int = 6, up: bool | None = None) -> str:
+    return short(value, digits, up)
 
 
 @in_words.register(bool)
 @in_words.register(np.bool_)
-def _truth_in_words(value: object, digits: int = 6) -> str:
+def _truth_in_words(value: object, digits: int = 6, up: bool | None = None) -> str:
     return "yes" if value else "no"
 
 
 @in_words.register(tuple)
 @in_words.register(list)
-def _list_in_words(value: Sequence[object], digits: int = 6) -> str:
-    return ", ".join(map(str, value)) if all(is_text(each) for each in value) else short(value, digits)
+def _list_in_words(value: Sequence[object], digits: int = 6, up: bool | None = None) -> str:
+    return ", ".join(map(str, value)) if all(is_text(each) for each in value) else short(value, digits, up)
 
 
 @in_words.register(Mapping)
-def _table_in_words(value: Mapping[str, object], digits: int = 6) -> str:
-    return ", ".join(f"{name} = {in_words(each, digits)}" for name, each in value.items())
+def _table_in_words(value: Mapping[str, object], digits: int = 6, up: bool | None = None) -> str:
+    return ", ".join(f"{name} = {in_words(each, digits, up)}" for name, each in value.items())
 
 
 @singledispatch

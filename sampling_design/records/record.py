@@ -27,6 +27,8 @@ from sampling_design.errors import ArgumentError, CallError, MissingExtraError, 
 from sampling_design.records import checks
 from sampling_design.records.declarations import Column, columns, said, selected
 from sampling_design.records.declarations import Plain as Plain
+from sampling_design.records.declarations import above as above
+from sampling_design.records.declarations import below as below
 from sampling_design.records.declarations import moment as moment
 from sampling_design.records.declarations import probability as probability
 from sampling_design.records.declarations import short as short

@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
-from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, markdown_table, short
+from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, below, markdown_table, short
 
 ROUNDING = 1e-8  # a promise counts as kept while it is exceeded by no more than this share: the rounding of a long run
 
@@ -185,7 +185,7 @@ class ValidationReport(YesOrNo, ListRecord[ClaimCheck], PlainRecord):
                 f.scenario,
                 f"{signs[f.sense]} {short(f.predicted, 5)}",
                 short(f.observed, 5),
-                short(f.margin, 3),
+                below(f.margin, 3),
                 f.verdict,
             ]
             for f in self.checks
@@ -217,7 +217,7 @@ class ValidationReport(YesOrNo, ListRecord[ClaimCheck], PlainRecord):
         bounded = [f for f in self.checks if f.sense == "at most" and f.checked]
         worst = min(bounded, key=lambda f: f.margin, default=None)
         return [
-            ("least margin", "-" if worst is None else f"{short(worst.margin, 3)} ({worst.claim}, {worst.scenario})"),
+            ("least margin", "-" if worst is None else f"{below(worst.margin, 3)} ({worst.claim}, {worst.scenario})"),
             ("runs", str(self.settings.get("runs", "-"))),
             ("duration", f"{short(self.settings.get('duration', np.nan))} {self.plant.time_unit}"),
             ("seed", str(self.settings.get("seed", "-"))),

@@ -18,7 +18,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.declarations import plain
+from sampling_design.records.declarations import below, plain
 from sampling_design.records.record import Plain, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
@@ -122,7 +122,7 @@ class ScheduleLog(TableRecord):
     )
 
     def _share(self) -> str:
-        return "no sigma is compared" if self.kept is None else f"{short(100 * self.kept, 3)} % of the planned sigma"
+        return "no sigma is compared" if self.kept is None else f"{below(100 * self.kept, 3)} % of the planned sigma"
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.time_unit
@@ -137,10 +137,10 @@ class ScheduleLog(TableRecord):
         ]
         if self.planned_sigma is not None and self.actual_sigma is not None:
             rows.append(("window", f"{short(self.planned_sigma.window)} {unit}"))
-            rows.append(("sigma, planned", short(self.planned_sigma.lower)))
+            rows.append(("sigma, planned", below(self.planned_sigma.lower)))
             if self.planned_sigma.deviations is not None:
                 rows += [(f"planned, {label}", value) for label, value in self.planned_sigma.deviations._rows()]
-            rows.append(("sigma, actual", short(self.actual_sigma.lower)))
+            rows.append(("sigma, actual", below(self.actual_sigma.lower)))
         return rows
 
     def _listed(self, times: Array) -> str:
@@ -162,11 +162,11 @@ class ScheduleLog(TableRecord):
             return text + "The record is shorter than the window, so that sigma cannot be compared."
         if self.kept is None:
             return text + "The plan itself does not make every mode observable in each window."
-        worst = f"sigma {short(self.actual_sigma.lower, 4)} instead of {short(self.planned_sigma.lower, 4)}"
+        worst = f"sigma {below(self.actual_sigma.lower, 4)} instead of {below(self.planned_sigma.lower, 4)}"
         left = (
             "" if self.planned_sigma.deviations is None else f" Of the plan: {self.planned_sigma.deviations.explain()}"
         )
-        return text + f"The worst window keeps {short(100 * self.kept, 3)} % of the plan: {worst}.{left}"
+        return text + f"The worst window keeps {below(100 * self.kept, 3)} % of the plan: {worst}.{left}"
 
 
 @checked

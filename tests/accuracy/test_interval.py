@@ -179,7 +179,7 @@ def test_what_nothing_shows_is_unbounded_and_named():
     found = state_interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1)
     assert np.isinf(found.radii[0])
     assert "They prove no bound of hidden: no reading shows the mode with eigenvalue 0.1." in found.explain()
-    assert "seen from 0.9 to 1.1" in found.explain()
+    assert "seen from 0.8999 to 1.101" in found.explain()
     assert found.unobservable_modes == ("0.1",)
     only = state_interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1, of="hidden")
     assert only.explain().startswith("They prove no bound of hidden")

@@ -147,7 +147,7 @@ def test_tradeoff_curve_falls_in_horizon_and_rises_in_gain():
     assert np.all(np.diff(curve.horizons) < 0)
     assert np.all(np.diff(curve.C_w) > 0)
     assert all(made.verify() for made in curve.certificates)
-    assert "and C_w rises from 15.4 to 308" in curve.explain()
+    assert "and C_w rises from 15.4 to 309" in curve.explain()
     assert curve.to_frame()["horizons"].tolist() == curve.horizons.tolist()
     drawn = curve.plot().lines[0]
     assert (drawn.get_xdata().tolist(), drawn.get_ydata().tolist()) == (curve.C_v.tolist(), curve.horizons.tolist())

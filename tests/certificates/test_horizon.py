@@ -15,6 +15,7 @@ from sampling_design.certificates.compare.contraction import (
 )
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.records.record import above
 from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -169,7 +170,7 @@ def test_four_horizons_stand_in_order(plant, chain):
     assert table.radius < 1
     assert table.to_markdown().count("\n") == 6
     assert "exact, improved" in table.to_latex()
-    assert f"paper's constants: {minima[0]:.4g}; exact, Theorem 9: {minima[1]:.4g}; " in table.explain()
+    assert f"paper's constants: {above(minima[0], 4)}; exact, Theorem 9: {above(minima[1], 4)}; " in table.explain()
     assert "M >" in str(table)
 
 

@@ -9,6 +9,7 @@ import sampling_design as sd
 from sampling_design.cli.accuracy import TimeOptions, _finish_counts, _schedule
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
+from sampling_design.records.record import above
 
 OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"
 
@@ -92,7 +93,7 @@ def test_what_samples_buy_is_said_by_the_design_of_a_plant_that_needs_none(shell
     assert data["counts"] == [0, 1, 4]
     again = sd.accuracy.accuracy_by_count(DECAYING, data["counts"], period=46.1, w_bound=1, v_bound=1, rtol=0.01)
     assert data["upper"] == again.upper.tolist()
-    assert f"Without samples: level {again.upper[0, 0]:.3g}." in told.out
+    assert f"Without samples: level {above(again.upper[0, 0], 3)}." in told.out
     for value in again.upper[1:, 0]:
         assert f"level {value:.2g}" in told.out
 

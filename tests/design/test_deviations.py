@@ -6,6 +6,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.design.losses import without_sample
 from sampling_design.observability.windows.window_sigma import SHARE, deviations_of
+from sampling_design.records.record import below
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 
@@ -25,7 +26,7 @@ def test_a_design_says_what_late_and_lost_samples_leave(design):
     text, rows = str(design), design.explain()
     assert "if up to 0.015708 s early or late" in text
     assert "if one sample is lost" in text
-    assert f"{found.late:.6g}" in rows
+    assert below(found.late) in rows
     assert design.to_dict()["deviations"] == found.to_dict()
     assert found.explain() in rows
 

@@ -7,6 +7,7 @@ import pytest
 
 from sampling_design import Plant, Requirement, pareto_front
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.records.record import below
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 REQUIREMENT = Requirement(window=4.0, spacing=0.7)
@@ -33,8 +34,8 @@ def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
     assert "3 samples" in str(front)
     left = front.points[2].deviations
     assert left.lost < left.late < left.late_wider < front.points[2].sigma
-    assert f"{left.tolerance.describe('s')}: {left.late:.6g}; one lost: {left.lost:.6g}" in str(front)
-    assert f"If one sample is lost, sigma is at least {front.efficient[-1].deviations.lost:.6g}." in front.explain()
+    assert f"{left.tolerance.describe('s')}: {below(left.late)}; one lost: {below(left.lost)}" in str(front)
+    assert f"If one sample is lost, sigma is at least {below(front.efficient[-1].deviations.lost)}." in front.explain()
 
 
 def test_a_file_is_resumed_and_not_designed_again(tmp_path):

@@ -11,6 +11,7 @@ import sampling_design as sd
 from sampling_design.design import read_requirement, write_requirement
 from sampling_design.design.problem.posing import pose
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.records.record import below
 from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
 
@@ -140,7 +141,7 @@ def test_no_real_times_break_a_design_and_no_schedule_beats_its_bound_whatever_e
 def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
     design = designs[1]
     assert "each up to 0.02 s early or late" in design.explain().split(";")[0]
-    assert f"If one sample is lost, sigma is at least {design.deviations.lost:.6g}." in design.explain()
+    assert f"If one sample is lost, sigma is at least {below(design.deviations.lost)}." in design.explain()
     assert f"samples are up to {LATE} s early or late" in design.claim.assumptions
     assert f"each up to {LATE} early or late" in ASKED.explain()
     assert "up to 0.02" in str(ASKED)

@@ -19,6 +19,7 @@ from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.observability.count.zero_count import SampleCount
 from sampling_design.observability.sigma_bracket import SigmaBracket
 from sampling_design.planning.comparison import PlanComparison
+from sampling_design.records.declarations import BOUNDS as ROUNDED
 from sampling_design.records.declarations import PLACE, STEP
 from sampling_design.records.record import ANSWERS, Record
 
@@ -143,5 +144,37 @@ def test_five_things_stand_in_one_order(name):
     assert said["how good"] in repr(found)
     assert found.explain()
     assert str(pickle.loads(pickle.dumps(found))) == str(found)  # as a worker process hands it back
+    texts = [str(found), repr(found), found.explain()]
     if said["how to draw"] == "`.plot()`":
-        assert found.plot() is not None
+        axes = np.ravel(found.plot())
+        figure = axes[0].figure
+        texts += [each.get_text() for each in figure.findobj(lambda each: hasattr(each, "get_text"))]
+    assert inward(" ".join(texts), bounds_of(found)) == []
+
+
+def bounds_of(record):
+    """The bounds that a record holds, by their names: numbers, and which way each may be rounded."""
+    for name in {*vars(record), *(name for kind in type(record).__mro__ for name in vars(kind))} & set(ROUNDED):
+        value = np.asarray(getattr(record, name))
+        for number in value.ravel().tolist() if value.dtype.kind == "f" else []:
+            yield number, ROUNDED[name]
+
+
+def inward(text, bounds):
+    """The numbers of three digits and more that are bounds, rounded, and on the wrong side of each that they are."""
+    bounds, wrong = [(value, up) for value, up in bounds if 0 < abs(value) < np.inf], []
+    for printed in re.findall(r"(?<![\w.])-?\d+\.\d+(?:e[-+]\d+)?", text):
+        mantissa, _, power = printed.partition("e")
+        if len(mantissa.lstrip("-0.").replace(".", "")) < 3:
+            continue  # too short to tell whether it is the bound
+        unit = 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
+        near = [(value, up) for value, up in bounds if abs(float(printed) - value) <= 0.5001 * unit]
+        if near and not any(float(printed) >= value if up else float(printed) <= value for value, up in near):
+            wrong.append((printed, near))
+    return wrong
+
+
+def test_a_number_on_the_wrong_side_of_a_bound_is_found():
+    bounds = [(0.12341, True), (2.0 / 3.0, False), (1.531e-7, True), (0.0, True), (np.inf, True)]
+    assert inward("0.1235 of 0.6666, 1.54e-07, x0.6667, 0.67 and 3", bounds) == []
+    assert [printed for printed, _ in inward("0.1234 of 0.6667, 1.53e-07", bounds)] == ["0.1234", "0.6667", "1.53e-07"]

@@ -16,6 +16,7 @@ from sampling_design.observability.worst_case.spaced_search import search_worst,
 from sampling_design.observability.worst_case.spaced_sphere import prove_worst
 from sampling_design.observability.worst_case.spaced_tables import SphereTables
 from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
+from sampling_design.records.record import below
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from tests.cases import few
 from tests.oracles.worst_case import brute_force, is_admissible, sigma_of_times
@@ -409,7 +410,7 @@ def test_what_a_rule_keeps_of_sigma_holds_for_late_and_lost_samples(plant):
         assert sd.window_sigma(plant, real, 4.0 + 2 * d).upper >= found.late_wider
         kept = np.delete(member.times, rng.integers(1, len(member) - 1))
         assert sd.window_sigma(plant, sd.Schedule(kept), 4.0).upper >= found.lost
-    assert f"If one sample is lost, sigma is at least {found.lost:.6g}." in sigma.explain()
+    assert f"If one sample is lost, sigma is at least {below(found.lost)}." in sigma.explain()
     assert "if one sample is lost" in str(sigma)
     assert sigma.to_dict()["deviations"] == found.to_dict()
 
@@ -427,7 +428,7 @@ def test_a_rule_for_late_samples_says_only_what_a_lost_one_leaves():
     assert found.deviations.in_sigma
     assert found.deviations.late == found.lower
     assert found.deviations.lost == worst_case_sigma(oscillators(1.0), SpacedWindows(4.1, 3, 0.4)).lower
-    assert found.explain().endswith(f" If one sample is lost, sigma is at least {found.deviations.lost:.6g}.")
+    assert found.explain().endswith(f" If one sample is lost, sigma is at least {below(found.deviations.lost)}.")
     balls = worst_case_sigma(oscillators(1.0), SpacedWindows(4.0, 4, 0.5), timing_tolerance=(0.0, 0.1), rigorous=True)
     assert balls.deviations.late == balls.lower < found.lower  # no more than what balls prove
 

@@ -24,6 +24,7 @@ from sampling_design.planning.problem import pose_plan
 from sampling_design.plotting import style
 from sampling_design.plotting.designs import draw_pareto
 from sampling_design.plotting.plans import draw_sensors, mark_days, whole
+from sampling_design.records.record import above, below
 from sampling_design.schedules.lost_samples import LostSamples
 from tests.cases import few
 
@@ -62,7 +63,7 @@ def test_sigma_is_drawn_with_its_proven_bound():
     curve, jumps = drawn[0], np.count_nonzero(np.diff(result.profile.piece))
     assert np.count_nonzero(np.isnan(curve)) == jumps > 0  # the pen is lifted where a sample comes or goes
     assert list(curve[np.isfinite(curve)]) == list(result.profile.sigma)
-    assert any(f"{result.lower:.4g}" in t.get_text() for t in ax.get_legend().get_texts())
+    assert any(below(result.lower, 4) in t.get_text() for t in ax.get_legend().get_texts())
 
 
 def test_a_design_has_two_rows_and_its_bounds(tmp_path):
@@ -71,7 +72,7 @@ def test_a_design_has_two_rows_and_its_bounds(tmp_path):
     )
     top, bottom = plotting.draw(design)
     assert top.figure is bottom.figure
-    assert top.figure.get_suptitle().count(f"{design.sigma:.4g}") == 1
+    assert top.figure.get_suptitle().count(below(design.sigma, 4)) == 1
     for suffix, magic in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")):
         path = plotting.save(design, tmp_path / f"design.{suffix}")
         assert path.read_bytes().startswith(magic)
@@ -118,7 +119,7 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     gaps = [100 * (1 - p.sigma / p.upper_bound) for p in front.points]
     assert [bar.get_height() for bar in bottom.patches] == pytest.approx(gaps)
     three = sd.design_schedule(OSCILLATOR, requirement.replace(samples=3))  # command, page and picture say one gap
-    assert f"can exceed {three.upper_bound:.6g}, an optimality gap of {gaps[1]:.1f} %." in three.explain()
+    assert f"can exceed {above(three.upper_bound)}, an optimality gap of {above(gaps[1], 3)} %." in three.explain()
     drawn = front.plot(Figure().subplots()).lines
     assert list(drawn[2].get_ydata()) == [p.deviations.late for p in front.points]
     assert list(drawn[3].get_ydata()) == [p.deviations.lost for p in front.points]
@@ -469,4 +470,4 @@ def test_horizons_count_in_a_unit_that_people_read():
     assert top.get_xlabel() == "horizon M must exceed [min]"
     dots = {round(float(line.get_xdata()[0]), 6) for line in top.lines}
     assert dots == {round(row.minimum / 60, 6) for row in found.rows if row.minimum is not None}
-    assert f"{found.rows[2].minimum / 60:.4g} min is proven" in top.get_title(loc="left")
+    assert f"{above(found.rows[2].minimum / 60, 4)} min is proven" in top.get_title(loc="left")

@@ -8,6 +8,7 @@ from sampling_design import plotting
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.curve import estimate_curve
 from sampling_design.plotting import style
+from sampling_design.records.record import below
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -108,7 +109,7 @@ def test_a_log_shows_both_rows_of_times_and_both_sigmas():
     drawn = np.concatenate([line.get_ydata() for line in bottom.lines])
     assert np.nanmin(drawn) >= 0.0
     labels = [t.get_text() for t in bottom.get_legend().get_texts()]
-    assert labels[1] == f"actual: at least {log.actual_sigma.lower:.4g}"
+    assert labels[1] == f"actual: at least {below(log.actual_sigma.lower, 4)}"
     short = sd.compare_schedule(PLANT, sd.PeriodicSchedule([1.0]), [1.0, 2.0], window=9.0)
     assert short.plot().get_xlabel() == "time [s]"
 

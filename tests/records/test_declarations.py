@@ -3,7 +3,7 @@
 import importlib
 import json
 import pkgutil
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import date
 from typing import NamedTuple
 
@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 
 import sampling_design
-from sampling_design.records.declarations import ITEM, PLACE, STEP, in_words, plain, said, selected
+from sampling_design.records.declarations import (
+    ITEM,
+    PLACE,
+    STEP,
+    above,
+    below,
+    in_words,
+    plain,
+    said,
+    selected,
+    short,
+)
 from sampling_design.records.record import PlainRecord, Record
 
 
@@ -53,6 +64,8 @@ def test_a_table_is_its_templates_and_leaves_out_what_is_none_or_unsaid():
         ("{limit:3or none}", "none"),
         ("{limit.unit:or none}", "none"),
         ("{limit} s", None),
+        ("{least:2}, {least:2up}, {least:2down}", "1.2, 1.3, 1.2"),
+        ("{least:upor -}, {of[-1].high:down}", "1.234, nan"),
     ],
 )
 def test_a_template_reaches_attributes_parts_and_methods(template, text):
@@ -62,6 +75,28 @@ def test_a_template_reaches_attributes_parts_and_methods(template, text):
 def test_values_in_words():
     words = [in_words(each) for each in (True, np.False_, 3, 1e-9, np.float64(0.5), ("a", "b"), [1.0, 2.0], {"k": 0.1})]
     assert words == ["yes", "no", "3", "1e-09", "0.5", "a, b", "[1, 2]", "k = 0.1"]
+
+
+@pytest.mark.parametrize("digits", [1, 3, 6])
+def test_what_is_read_back_of_a_bound_is_on_its_side_and_next_to_it(digits):
+    rng = np.random.default_rng(digits)
+    drawn = rng.standard_normal(300) * 10.0 ** rng.integers(-320, 308, 300)
+    for value in [*drawn, *np.nextafter([0.1, 0.3, 7.0, 1e300], np.inf), 0.0, 0.1, 5e-324, 9.9999999, -np.inf]:
+        up, down = above(value, digits), below(value, digits)
+        assert float(down) <= value <= float(up)
+        assert short(value, digits) in (up, down)
+        assert (up == down) == (float(short(value, digits)) == value)
+    assert (above(1.7e308, 1), below(-1.7e308, 1), above(np.nan)) == ("2e+308", "-2e+308", "nan")
+
+
+def test_bounds_of_a_template_are_rounded_by_their_names():
+    @dataclass
+    class Bracket:
+        lower: float = 0.12345678
+        upper: np.ndarray = field(default_factory=lambda: np.array([0.12345641, 0.2]))
+
+    assert said(Bracket(), "{lower} to {upper}, {upper[0]:3}") == "0.123456 to [0.123457, 0.2], 0.124"
+    assert said(Bracket(), "{lower:3up}") == "0.124"
 
 
 def test_plain_data_is_all_fields_where_nothing_is_said():

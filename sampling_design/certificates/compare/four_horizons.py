@@ -11,8 +11,8 @@ from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
-from sampling_design.records.declarations import in_latex, latex_table
-from sampling_design.records.record import ListRecord, markdown_table, short
+from sampling_design.records.declarations import above, in_latex, latex_table
+from sampling_design.records.record import ListRecord, markdown_table
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 
@@ -72,23 +72,23 @@ class FourHorizons(ListRecord[HorizonRow]):
     def _good(self) -> str:
         known = [row.minimum for row in self.rows if row.minimum is not None]
         return (
-            f"the shortest is {short(min(known), 4)} {self.certificate.plant.time_unit}" if known else "none is known"
+            f"the shortest is {above(min(known), 4)} {self.certificate.plant.time_unit}" if known else "none is known"
         )
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit
         lines = []
         for row in self.rows:
-            bound = row.note if row.minimum is None else f"M > {short(row.minimum, 4)} {unit}"
+            bound = row.note if row.minimum is None else f"M > {above(row.minimum, 4)} {unit}"
             gains = row.horizon
             if gains is not None:
-                bound += f", C_x {short(gains.C_x, 3)}, C_w {short(gains.C_w, 3)}, C_v {short(gains.C_v, 3)}"
+                bound += f", C_x {above(gains.C_x, 3)}, C_w {above(gains.C_w, 3)}, C_v {above(gains.C_v, 3)}"
             lines.append((row.name, bound))
         return lines
 
     def explain(self) -> str:
         """Compare the four."""
-        known = [f"{row.name}: {short(row.minimum, 4)}" for row in self.rows if row.minimum is not None]
+        known = [f"{row.name}: {above(row.minimum, 4)}" for row in self.rows if row.minimum is not None]
         return "The estimation horizon must be longer than the following. " + "; ".join(known) + "."
 
     def cells(self) -> list[list[str]]:
@@ -107,9 +107,9 @@ class FourHorizons(ListRecord[HorizonRow]):
 
 
 def _cells(row: HorizonRow) -> list[str]:
-    least = "-" if row.minimum is None else short(row.minimum, 4)
+    least = "-" if row.minimum is None else above(row.minimum, 4)
     gains = row.horizon
-    return [least, *(["-"] * 3 if gains is None else [short(v, 3) for v in (gains.C_x, gains.C_w, gains.C_v)])]
+    return [least, *(["-"] * 3 if gains is None else [above(v, 3) for v in (gains.C_x, gains.C_w, gains.C_v)])]
 
 
 @checked

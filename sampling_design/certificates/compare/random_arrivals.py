@@ -18,7 +18,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, probability, short
+from sampling_design.records.record import PlainRecord, below, probability, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 
@@ -120,7 +120,7 @@ class RandomArrivals(PlainRecord):
     )
     _table = {
         "samples in a window": "{samples}",
-        "squared error": "times {mean_factor[0]} to {mean_factor[1]} a window, on average",
+        "squared error": "times {mean_factor[0]:down} to {mean_factor[1]:up} a window, on average",
     }
     _plain = "loss_probability arrival_rate length samples ends probability contracts factor mean_factor rate claim"
 
@@ -134,7 +134,7 @@ class RandomArrivals(PlainRecord):
             factor = probability(self.mean_factor[1], up=True)
             return (
                 f"{words} On average the squared error shrinks at least by the factor {factor} a window, "
-                f"at the rate {short(self.rate)} per {unit}."
+                f"at the rate {below(self.rate)} per {unit}."
             )
         if self.mean_factor[0] >= 1:
             return f"{words} On average the bound on the squared error does not shrink."

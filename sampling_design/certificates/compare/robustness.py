@@ -23,7 +23,7 @@ from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.record import PlainRecord, TableRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, above, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.jitter import Jitter
@@ -118,7 +118,7 @@ class Robustness(TableRecord, PlainRecord):
     _answers = (
         "how late samples may come, and how many may be lost, with the weights and the horizon of a certificate",
         "proven: a certificate for each family of schedules that is named",
-        "samples up to {radius} {certificate.plant.time_unit} early or late, losses up to {_lost}",
+        "samples up to {radius:down} {certificate.plant.time_unit} early or late, losses up to {_lost}",
         "`.jittered.verify()`, `.thinned[0].verify()`",
     )
 
@@ -128,13 +128,13 @@ class Robustness(TableRecord, PlainRecord):
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit
         beyond = (
-            f"not proven at {short(self.broken)} {unit}" if self.broken > self.radius else "all that keeps the order"
+            f"not proven at {above(self.broken)} {unit}" if self.broken > self.radius else "all that keeps the order"
         )
         return [
             ("later samples", beyond),
             *((trial.family.kind, "survives" if trial.survives else "not proven") for trial in self.others),
             ("horizon kept", f"{short(self.length)} {unit}"),
-            ("lambda, planned", short(self.certificate.lam)),
+            ("lambda, planned", above(self.certificate.lam)),
             ("lambda, limit", short(self.limit)),
             ("searches closed", "yes" if self.closed else "no, the budget ran out"),
         ]
@@ -143,7 +143,7 @@ class Robustness(TableRecord, PlainRecord):
         """Say what may go wrong without harm."""
         unit = self.certificate.plant.time_unit
         lost = self._lost(" or ") if self.tolerated else ""
-        late = f"every sample is up to {short(self.radius)} {unit} early or late" if self.radius else ""
+        late = f"every sample is up to {below(self.radius)} {unit} early or late" if self.radius else ""
         thin = f"samples are on time and up to {lost} are lost" if lost else ""
         other = [f"samples are those of the {trial.family.kind} family" for trial in self.others if trial.survives]
         if not (late or thin or other):

@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import TableRecord, short
+from sampling_design.records.record import TableRecord, above, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 
@@ -54,13 +54,13 @@ class TradeoffCurve(TableRecord):
     )
 
     def _good(self) -> str:
-        return f"the shortest horizon is {short(self.horizons.min())} {self.certificates[0].plant.time_unit}"
+        return f"the shortest horizon is {above(self.horizons.min())} {self.certificates[0].plant.time_unit}"
 
     def _rows(self) -> list[tuple[str, str]]:
         columns = zip(self.noise_gains, self.horizons, self.C_w, self.C_v, strict=True)
         unit = self.certificates[0].plant.time_unit
         return [
-            (f"noise gain {short(b, 4)}", f"M > {short(M)} {unit}, C_w = {short(w, 3)}, C_v = {short(v, 3)}")
+            (f"noise gain {short(b, 4)}", f"M > {above(M)} {unit}, C_w = {above(w, 3)}, C_v = {above(v, 3)}")
             for b, M, w, v in columns
         ]
 
@@ -68,8 +68,8 @@ class TradeoffCurve(TableRecord):
         """Say what the curve trades."""
         return (
             f"If the noise gain may be {short(self.noise_gains[-1])} instead of {short(self.noise_gains[0])} times its "
-            f"least value, the horizon falls from {short(self.horizons[0])} to {short(self.horizons[-1])}, and C_w "
-            f"rises from {short(self.C_w[0], 3)} to {short(self.C_w[-1], 3)}."
+            f"least value, the horizon falls from {above(self.horizons[0])} to {above(self.horizons[-1])}, and C_w "
+            f"rises from {above(self.C_w[0], 3)} to {above(self.C_w[-1], 3)}."
         )
 
 

@@ -21,7 +21,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import short
+from sampling_design.records.record import below, short
 from sampling_design.records.signatures import checked
 
 MARGIN = 1e-4
@@ -201,7 +201,7 @@ def _largest_P(plant: Plant, eta: float, ratio: float, floor: float, c_y: float)
     """P = c_y Y^{-1} and the filter's gain."""
     Y = _filter(plant, eta, ratio, floor)
     if Y is None:
-        raise SolverError(_NO_SOLUTION.format(rate=short(eta)))
+        raise SolverError(_NO_SOLUTION.format(rate=below(eta)))
     return symmetrise(c_y * cho_solve(cho_factor(Y), np.eye(len(Y)))), Y @ plant.C.T
 
 
@@ -227,7 +227,7 @@ def _within(least: Callable[[float], float], eta: float, allowed: float, ratio: 
     needed = least(eta)
     if needed > allowed:
         raise CertificateError(
-            f"The rate {short(eta)} needs c_w = {short(needed / ratio)} and c_y = {short(needed)} at this ratio, "
+            f"The rate {below(eta)} needs c_w = {short(needed / ratio)} and c_y = {short(needed)} at this ratio, "
             f"more than the bounds c_w = {short(allowed / ratio)}, c_y = {short(allowed)}.",
             least_c_w=needed / ratio,
             least_c_y=needed,

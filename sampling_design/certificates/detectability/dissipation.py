@@ -15,9 +15,9 @@ from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.declarations import Converted, frozen
+from sampling_design.records.declarations import Converted, above, below, frozen
 from sampling_design.records.evidence import Claim, SolverRecord, with_digest
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import Plain
 
 METHODS = ("riccati", "lmi", "proof", "given")
 
@@ -101,7 +101,7 @@ class DetectabilityCertificate(VerifiableRecord):
         "cond P": "{overshoot}",
         "method": "{method}",
         "margin": "{margin:3}",
-        "slack": "{verify.amount}",
+        "slack": "{verify.amount:down}",
     }
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -135,7 +135,7 @@ class DetectabilityCertificate(VerifiableRecord):
     def claim(self) -> Claim:
         """What is proven, and from which theorem."""
         return Claim(
-            f"exponentially i-iIOSS at rate {short(self.eta)} with c_w = {short(self.c_w)}, c_y = {short(self.c_y)}",
+            f"exponentially i-iIOSS at rate {below(self.eta)} with c_w = {above(self.c_w)}, c_y = {above(self.c_y)}",
             theorem="Theorem 10 (discounted)",
             assumptions=("x' = Ax + Bu + Gw, y = Cx + Du",),
         )
@@ -155,9 +155,9 @@ class DetectabilityCertificate(VerifiableRecord):
         """Say what the certificate promises."""
         return (
             "The plant is detectable: two trajectories with the same inputs, disturbances and outputs come together. "
-            f"Their squared distance in the norm of P decays like e^(-{short(self.eta)} t), t in "
-            f"{self.plant.time_unit}. A difference in w adds to it with gain {short(self.c_w)}, one in y with gain "
-            f"{short(self.c_y)}."
+            f"Their squared distance in the norm of P decays like e^(-{below(self.eta)} t), t in "
+            f"{self.plant.time_unit}. A difference in w adds to it with gain {above(self.c_w)}, one in y with gain "
+            f"{above(self.c_y)}."
         )
 
 

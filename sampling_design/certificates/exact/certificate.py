@@ -33,7 +33,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord, with_digest
-from sampling_design.records.record import Plain, moment, short
+from sampling_design.records.record import Plain, above, below, moment
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -283,9 +283,9 @@ class SampledCertificate(VerifiableRecord, ABC):
     def _promise(self) -> str:
         """What the inequality means, in words."""
         return (
-            f"past errors are discounted at rate {short(self.eta)} per {self.plant.time_unit}, and every window keeps "
-            f"information of at least 1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon "
-            f"estimator contracts if its horizon is longer than {short(self.horizon().minimum)} {self.plant.time_unit}."
+            f"past errors are discounted at rate {below(self.eta)} per {self.plant.time_unit}, and every window keeps "
+            f"information of at least 1/{above(self.lam)} of the prior weight P2. The error bound of a moving horizon "
+            f"estimator contracts if its horizon is longer than {above(self.horizon().minimum)} {self.plant.time_unit}."
         )
 
     def _sample_times(self) -> str:
@@ -449,7 +449,7 @@ class Certificate(SampledCertificate):
     def claim(self) -> Claim:
         """What the certificate says; `verify()` proves it."""
         return Claim(
-            f"sample-based exponential i-iIOSS with rate {short(self.eta)}{self._until()}, for every real window start",
+            f"sample-based exponential i-iIOSS with rate {below(self.eta)}{self._until()}, for every real window start",
             "Assumption 7",
             ("linear plant",),
         )

@@ -23,6 +23,7 @@ from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError, Progress
+from sampling_design.records.declarations import below
 from sampling_design.schedules.family import AnySchedule
 
 ETA_RANGE = (0.05, 3.0)  # rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)
@@ -361,7 +362,7 @@ def choose_weights(
         if descended and search.work.over:
             break
         with search.ended_by_interrupt(guesses):
-            report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
+            report(0.3 + 0.13 * k, f"descent at rate {below(guess.eta, 3)}")
             descended.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
     best = min(descended or guesses, key=attrgetter("value"))
     if free and not search.work.over:

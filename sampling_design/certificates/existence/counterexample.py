@@ -20,7 +20,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed, generator, positive, vector
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Record, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -90,7 +90,7 @@ class Counterexample(Record):
         return [
             ("gaps", f"{short(self.schedule.gaps)} {unit}"),
             ("unobservable eigenvalue", format_eigenvalue(self.eigenvalue, grain=1e-12 * abs(self.eigenvalue))),
-            ("eta", f"{short(self.eta)} 1/{unit}"),
+            ("eta", f"{below(self.eta)} 1/{unit}"),
             ("reason", self.reason),
         ]
 

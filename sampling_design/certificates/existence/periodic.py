@@ -19,7 +19,7 @@ from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import PlainRecord, YesOrNo, short
+from sampling_design.records.record import PlainRecord, YesOrNo, below, short
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -151,13 +151,13 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
         raise UndecidedError(
             f"{question}: its samples are so dense that {existence.eigenvalue:.4g} and the eigenvalues beside it "
             f"differ by only {turn:.3g} in a period of {schedule.period:.4g}, which rounding hides (margin "
-            f"{existence.margin:.3g}). Sample less often, or count a part of the samples as one.",
+            f"{below(existence.margin, 3)}). Sample less often, or count a part of the samples as one.",
             **_missed(existence),
         )
     if stays_bounded(plant, schedule, eta):
         raise UndecidedError(
-            f"{question}: {existence.reason}, as far as rounding can tell (margin {existence.margin:.3g}), yet the "
-            "discounted covariance of the filter stays bounded. Move a sample, or scale the plant.",
+            f"{question}: {existence.reason}, as far as rounding can tell (margin {below(existence.margin, 3)}), yet "
+            "the discounted covariance of the filter stays bounded. Move a sample, or scale the plant.",
             **_missed(existence),
         )
     return existence
@@ -179,7 +179,7 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     main, partners = _involved(modes, least, schedule.period)
     reason = _reason(main, partners, schedule)
     if least.margin > UNOBSERVED_TOLERANCE:
-        claim = f"every mode that does not decay by itself is observable, but barely (margin {short(least.margin, 3)})"
+        claim = f"every mode that does not decay by itself is observable, but barely (margin {below(least.margin, 3)})"
         reason = f"{claim}: nearly, {reason}"
         return Existence(True, least.margin, period=schedule.period, reason=reason)
     if isinstance(plant, FunctionalPlant):

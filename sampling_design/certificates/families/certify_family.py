@@ -36,7 +36,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.record import short
+from sampling_design.records.record import below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 
@@ -416,7 +416,7 @@ def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], l
     return UndecidedError(
         f"undecided at rate {eta:.6g}: no certificate was found for this family, and no schedule of it without one."
         f"{known} The least observable schedule has the gaps {short(least.schedule.gaps)} "
-        f"(margin {short(least.margin, 3)}).",
+        f"(margin {below(least.margin, 3)}).",
         status="undecided", eta=eta, certified=part, kept=None if best is None else best.kept,
         gap=None if best is None else best.gap, word=least.schedule, margin=least.margin, searched=least.searched,
     )  # fmt: skip

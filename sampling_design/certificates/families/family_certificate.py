@@ -13,7 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import short
+from sampling_design.records.record import below
 from sampling_design.schedules.family import SamplingFamily
 
 
@@ -62,7 +62,7 @@ class FamilyCertificate(SampledCertificate):
     def claim(self) -> Claim:
         """What the certificate says; `verify()` proves it."""
         return Claim(
-            f"sample-based exponential i-iIOSS with rate {short(self.eta)} for every schedule of the family and every "
+            f"sample-based exponential i-iIOSS with rate {below(self.eta)} for every schedule of the family and every "
             "real window start",
             "Assumption 7",
             ("linear plant", family_in_words(self.plant, self.family).rstrip(".")),

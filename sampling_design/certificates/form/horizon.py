@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import unit_diagonal
-from sampling_design.records.declarations import in_latex, latex_number, latex_table
+from sampling_design.records.declarations import BOUNDS, above, below, in_latex, latex_number, latex_table
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Record, short
 from sampling_design.records.signatures import checked_methods
@@ -40,7 +40,15 @@ class Constant:
     symbol: str = ""
 
     def __str__(self) -> str:
-        return f"{self.name} = {short(self.value)}  [{self.source}]"
+        return f"{self.name} = {short(self.value, up=self.up)}  [{self.source}]"
+
+    @property
+    def up(self) -> bool | None:
+        """Which way it is rounded where it is printed."""
+        return _ROUNDED.get(self.name)
+
+
+_ROUNDED = {**BOUNDS, "horizon": True, "lam_u": True, "sigma_bar": False, "eta_s": False, "eta_composed": False}
 
 
 @checked_methods
@@ -68,18 +76,23 @@ class ConstantList(tuple[Constant, ...]):
 
     def lines(self) -> list[tuple[str, str]]:
         """Return the rows of a table: constant, value and source."""
-        return [(c.name, f"{short(c.value)}  ({c.source})") for c in self]
+        return [(c.name, f"{short(c.value, up=c.up)}  ({c.source})") for c in self]
 
     def to_markdown(self) -> str:
         """Return a table: constant, value, formula, source."""
-        rows = [f"| {c.name} | {short(c.value)} | $ {c.formula} $ | {c.source} |" for c in self]
+        rows = [f"| {c.name} | {short(c.value, up=c.up)} | $ {c.formula} $ | {c.source} |" for c in self]
         return "\n".join(["| constant | value | formula | source |", "|---|---|---|---|", *rows]) + "\n"
 
     def to_latex(self) -> str:
         """Return a `tabular`: constant, value, formula, source."""
         symbols = [c.symbol or rf"\mathrm{{{in_latex(c.name)}}}" for c in self]
         rows = [
-            [f"${symbol}$", f"${latex_number(c.value)}$", f"${c.formula}$".replace("#", r"\#"), in_latex(c.source)]
+            [
+                f"${symbol}$",
+                f"${latex_number(c.value, up=c.up)}$",
+                f"${c.formula}$".replace("#", r"\#"),
+                in_latex(c.source),
+            ]
             for symbol, c in zip(symbols, self, strict=True)
         ]
         return latex_table(("constant", "value", "formula", "source"), rows, "llll")
@@ -160,7 +173,7 @@ class Horizon(Record):
     @property
     def claim(self) -> Claim:
         """The theorem behind the bound and what it assumes."""
-        given = ("Assumption 7 with the certificate's weights", "linear plant", f"M > {short(self.minimum)}")
+        given = ("Assumption 7 with the certificate's weights", "linear plant", f"M > {above(self.minimum)}")
         if self.theorem == "paper":
             return Claim("RGES of the estimator with the cost (15)", "Theorem 9", given)
         convex = ("convex constraints that hold the truth", "half-open windows (t-M, t]", "every real window start")
@@ -177,9 +190,9 @@ class Horizon(Record):
     def explain(self) -> str:
         """Say what the horizon promises."""
         return (
-            f"With a window of {short(self.length)} {self.time_unit} (anything above {short(self.minimum)}) the "
-            f"squared error decays at rate {short(self.eta_tilde)} per {self.time_unit}; disturbances enter with "
-            f"C_w = {short(self.C_w)}, measurement noise with C_v = {short(self.C_v)}."
+            f"With a window of {short(self.length)} {self.time_unit} (anything above {above(self.minimum)}) the "
+            f"squared error decays at rate {below(self.eta_tilde)} per {self.time_unit}; disturbances enter with "
+            f"C_w = {above(self.C_w)}, measurement noise with C_v = {above(self.C_v)}."
         )
 
 

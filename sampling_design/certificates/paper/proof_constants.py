@@ -31,7 +31,7 @@ from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, above, below
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -58,7 +58,7 @@ class PaperConstants(PlainRecord):
     _answers = (
         "Assumption 7 with the constants of the paper's proofs",
         "{claim.evidence}",
-        "a horizon of more than {horizon} {plant.time_unit}",
+        "a horizon of more than {horizon:up} {plant.time_unit}",
         "`.constants`: each with its formula and its source",
     )
     _table = {
@@ -95,7 +95,7 @@ class PaperConstants(PlainRecord):
         """Say what the proof's constants ask for."""
         return (
             f"With the constants of the proof ({self.variant}) the estimator needs a horizon of more than "
-            f"{short(self.horizon)} {self.plant.time_unit} (lambda = {short(self.lam)}, eta = {short(self.eta)})."
+            f"{above(self.horizon)} {self.plant.time_unit} (lambda = {above(self.lam)}, eta = {below(self.eta)})."
         )
 
 

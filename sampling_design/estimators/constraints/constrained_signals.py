@@ -10,6 +10,7 @@ import numpy as np
 
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.record import short
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,7 @@ class ConstraintRows:
         if self.mix is not None:
             point = self.lower[index] == self.upper[index]
             return f"{'a ball' if point else f'half-space {entry - k + 1}'} of {signal.name} at {where}"
-        bound = f">= {self.lower[index]:.6g}" if below else f"<= {self.upper[index]:.6g}"
+        bound = f">= {short(self.lower[index], up=True)}" if below else f"<= {short(self.upper[index], up=False)}"
         return f"{signal.entries[entry]} {bound} at {where} ({signal.name})"
 
 

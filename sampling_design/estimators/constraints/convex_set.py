@@ -67,8 +67,8 @@ class ConvexSet(Record):
 
     _table = {
         "dimension": "{dimension}",
-        "lower": "{lower}",
-        "upper": "{upper}",
+        "lower": "{lower:up}",
+        "upper": "{upper:down}",
         "half-spaces": "{rows.shape[0]}",
         "balls": "{balls.__len__}",
     }

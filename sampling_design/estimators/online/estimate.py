@@ -16,7 +16,7 @@ from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.declarations import plain
+from sampling_design.records.declarations import above, below, plain
 from sampling_design.records.record import Plain, PlainRecord, moment, short
 
 Status = Literal["prior", "ok", "predicted", "infeasible", "solver failed", "bounds disproved"]
@@ -70,8 +70,8 @@ class Contradiction(NamedTuple):
         """Say it of a sample whose time or date is called so."""
         sample = f"sample {self.number} at {when}, output {self.output}"
         if self.alone:
-            return f"{sample}: its v_bound would have to be {self.factor:.3g} times as large"
-        return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"
+            return f"{sample}: its v_bound would have to be {below(self.factor, 3)} times as large"
+        return f"{sample}, and not it alone: all bounds would have to be {below(self.factor, 3)} times as large"
 
 
 @lru_cache(maxsize=8)
@@ -281,7 +281,7 @@ class Estimate(PlainRecord):
         radii = self.radii  # before the status: what they disprove stands in it
         text = f"At {moment(self.t)} the state is {short(self.x)} ({self.status})."
         if np.isfinite(radii).any():
-            text += f" It is within {short(radii)} of the truth, state by state, if the given bounds hold."
+            text += f" It is within {above(radii)} of the truth, state by state, if the given bounds hold."
         else:
             text += " No radius is proven."
         return text + (f" {self.note}" if self.note else "")

@@ -18,8 +18,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.declarations import Column
-from sampling_design.records.record import CurveRecord, ListRecord, PlainRecord, Variable, counted, short
+from sampling_design.records.declarations import Column, above
+from sampling_design.records.record import CurveRecord, ListRecord, PlainRecord, Variable, counted
 
 
 @dataclass
@@ -248,7 +248,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     def _last(self) -> str:
         """How well the state is known at the end."""
         radii = self.estimates[-1].radii if self.estimates else np.array([])
-        return f"at the end within {short(radii)}" if np.isfinite(radii).any() else "no radius at the end"
+        return f"at the end within {above(radii)}" if np.isfinite(radii).any() else "no radius at the end"
 
     def _rows(self) -> list[tuple[str, str]]:
         return self._counted.rows()[2:]

@@ -15,8 +15,8 @@ from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, bala
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
-from sampling_design.records.declarations import Column
-from sampling_design.records.record import ListRecord, short
+from sampling_design.records.declarations import Column, below
+from sampling_design.records.record import ListRecord
 from sampling_design.records.signatures import checked
 
 EPS = float(np.finfo(float).eps)
@@ -79,7 +79,7 @@ class UnobservableModes(ListRecord[complex]):
     def explain(self) -> str:
         """Say which modes are unobservable."""
         if not len(self):
-            least = short(self.margin, 3)
+            least = below(self.margin, 3)
             off = f"entries of A and C off by {least} of themselves could hide one"
             return f"Every mode is observable from some output ({off})."
         return f"No output observes the eigenvalue {self.describe()}."

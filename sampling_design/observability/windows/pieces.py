@@ -52,7 +52,7 @@ class WindowWitness(Record):
         "window end": "{position}",
         "samples": "{samples}",
         "direction": "{direction}",
-        "sigma": "{sigma}",
+        "sigma": "{sigma:up}",
     }
 
     @property

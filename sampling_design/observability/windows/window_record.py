@@ -21,7 +21,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.budget import Progress
-from sampling_design.records.declarations import Column
+from sampling_design.records.declarations import Column, above, below
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, moment, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
@@ -122,7 +122,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         """What `lower` claims, and on what grounds."""
         wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
         return Claim(
-            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t >= T + "
+            f"sigma_n(O_s e^(-A(t-T))) >= {below(self.lower)} for every real window end t >= T + "
             f"{moment(self.from_time)}, T = {short(self.window)}{wider}",
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=(
@@ -181,12 +181,12 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         if self.status == "sampled":
             left = "" if self.deviations is None else f" {self.deviations.explain()}"
             return (
-                f"Sigma falls to {short(self.upper)} among the windows of {length} that were looked at; nothing is "
+                f"Sigma falls to {above(self.upper)} among the windows of {length} that were looked at; nothing is "
                 f"proven, as A is a function of time and no table. {where}.{left}"
             )
         later = f" from {self._since()} {self.time_unit} on" if self.from_time else ""
         later += f", for samples {self._late()}" if self.late else ""
-        proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
+        proven = f"Sigma is at least {below(self.lower)} over every window of {length}{later} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 
 

@@ -34,6 +34,7 @@ from sampling_design.observability.worst_case.spaced_search import (
 from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, SphereTables, StartTable
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, Progress
+from sampling_design.records.declarations import below
 
 MOST_STATES = 12  # a cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried
 _STAGES = (0.25, 0.5, 0.75, 0.9, 1.0)  # of the wanted sigma: a search that is cut short has proven something
@@ -159,7 +160,7 @@ class _SphereSearch:
             status = "zero"
         if not status and progress is not None:
             share = 1 - self.open.volume() - self.stuck.volume()
-            progress(share, f"worst case sigma: {self.open.face.size} cells open, at least {self.lower:.6g}")
+            progress(share, f"worst case sigma: {self.open.face.size} cells open, at least {below(self.lower)}")
         return status
 
     @property

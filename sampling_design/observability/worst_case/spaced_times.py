@@ -29,6 +29,7 @@ from sampling_design.observability.worst_case.spaced_sphere import SphereBounds
 from sampling_design.observability.worst_case.spaced_tables import SphereTables
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, Progress
+from sampling_design.records.declarations import below
 
 _EPS = float(np.finfo(float).eps)
 _TINY = 1e-300  # added to sizes that are divided by and may be 0: factors of any size prove
@@ -134,7 +135,7 @@ class _TimeSearch:
         if progress is not None:
             share = (self.stage + min(self.settled, 1.0)) / len(_STAGES)
             left = sum(len(part.share) for part in self.open)
-            progress(share, f"worst case sigma: {left} cells open, at least {self.lower:.6g}")
+            progress(share, f"worst case sigma: {left} cells open, at least {below(self.lower)}")
         if not self.open:
             self.open, self.proven, self.stage, self.settled = self.proven, [], self.stage + 1, 0.0
         return "rounding" if better and self.rows.counts_as_zero(better.sigma, better.slacks, better.moves) else ""

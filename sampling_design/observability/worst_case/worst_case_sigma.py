@@ -40,7 +40,7 @@ from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, counted, moment, short
+from sampling_design.records.record import Plain, above, below, counted, moment, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
@@ -165,7 +165,7 @@ class WorstCaseSigma(SigmaBracket):
         """What `lower` claims, and on what grounds."""
         f = self.family
         return Claim(
-            f"sigma_n(O_s) >= {short(self.lower)} for all schedules with at least {f.count} samples, at least "
+            f"sigma_n(O_s) >= {below(self.lower)} for all schedules with at least {f.count} samples, at least "
             f"{short(f.spacing)} apart, in every window of {short(f.window)}{self._read()}",
             theorem="Theorem 17" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=(
@@ -187,9 +187,9 @@ class WorstCaseSigma(SigmaBracket):
             return f"Sigma is 0: fewer measurements than the {counted(self.direction.size, 'state')} ({many})."
         where = f"The worst times are {moment(self.witness)} {unit}"
         if self.status == "below rounding":
-            measured = f"of the state {short(self.direction)} they measure {short(self.upper)}"
+            measured = f"of the state {short(self.direction)} they measure {above(self.upper)}"
             return f"{where}; {measured}, which rounding does not tell from zero."
-        proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
+        proven = f"With {many}, sigma is at least {below(self.lower)} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 
 

@@ -21,7 +21,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import short
+from sampling_design.records.record import above, below
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -76,7 +76,7 @@ class AccuracyOverBox(AccuracyBracket):
     def claim(self) -> Claim:
         """What `upper` claims."""
         return Claim(
-            f"for every plant of the box some estimator guarantees {short(self.upper)}",
+            f"for every plant of the box some estimator guarantees {above(self.upper)}",
             "Theorem D for each plant of the box, the mismatch within a cell as a disturbance that bounds itself",
             ("constant parameters in their ranges, known to the estimator", "bounded disturbance and noise"),
         )
@@ -90,17 +90,17 @@ class AccuracyOverBox(AccuracyBracket):
 
     def _rows(self) -> list[tuple[str, str]]:
         found = [
-            (name, f"{short(low)} to {short(up)}, worst at {at_parameters(where)}")
+            (name, f"{below(low)} to {above(up)}, worst at {at_parameters(where)}")
             for name, low, up, where in zip(self.rows.labels(), self.lower, self.upper, self.worst, strict=True)
         ]
         return [*found, ("cells", str(self.cells))]
 
     def explain(self) -> str:
         """Say what can be guaranteed for every plant of the box."""
-        parts = [f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True)]
+        parts = [f"{n} within {above(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True)]
         return (
             f"Whichever plant of the box it is, some estimator that knows it guarantees {', '.join(parts)}; for the "
-            f"worst plants none guarantees less than {short(self.lower, 4)}."
+            f"worst plants none guarantees less than {below(self.lower, 4)}."
         )
 
 

@@ -19,7 +19,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import short
+from sampling_design.records.record import above, below, short
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -76,7 +76,7 @@ class AccuracyAlong(AccuracyBracket):
     def claim(self) -> Claim:
         """What `upper` claims: numerical evidence, as integrals over w are sums."""
         return Claim(
-            f"at the times looked at, gains guarantee {short(self.largest[1])}",
+            f"at the times looked at, gains guarantee {above(self.largest[1])}",
             "optimal recovery, integrals by Simpson's rule",
             ("bounded disturbance, noise and first error", "the plant varies as stated"),
             strength="sampled",
@@ -92,7 +92,7 @@ class AccuracyAlong(AccuracyBracket):
     _answers = (
         "the least error that an estimator can guarantee at {times.size} times of a plant that varies",
         "{claim.evidence}",
-        "at most {largest[1]}, no less than {largest[0]}",
+        "at most {largest[1]:up}, no less than {largest[0]:down}",
         "the same call with a smaller `rtol`",
     )
 
@@ -100,7 +100,7 @@ class AccuracyAlong(AccuracyBracket):
         found, unit = [], self.plant.time_unit
         for k, label in enumerate(self.rows.labels()):
             low, up = (float(side[k]) for side in self.largest)
-            text = f"{short(low)} to {short(up)}, worst at {short(self.worst[k])} {unit}"
+            text = f"{below(low)} to {above(up)}, worst at {short(self.worst[k])} {unit}"
             if np.isinf(up):
                 text = "without bound: the samples do not determine it"
             elif self.known_from[k] > self.times[0]:
@@ -112,12 +112,12 @@ class AccuracyAlong(AccuracyBracket):
         """Say what can be guaranteed."""
         low, up = self.largest
         named = zip(self.rows.labels(), up, strict=True)
-        parts = [f"{n} within {short(u, 4)}" if np.isfinite(u) else f"nothing of {n}" for n, u in named]
-        late = self.known_from[np.isfinite(self.known_from) & (self.known_from > self.times[0])]
-        when = f"from {short(late.max())} {self.plant.time_unit} on " if late.size else ""
+        parts = [f"{n} within {above(u, 4)}" if np.isfinite(u) else f"nothing of {n}" for n, u in named]
+        unknown = self.known_from[np.isfinite(self.known_from) & (self.known_from > self.times[0])]
+        when = f"from {short(unknown.max())} {self.plant.time_unit} on " if unknown.size else ""
         return (
             f"At the {self.times.size} times looked at some estimator guarantees {when}{', '.join(parts)}; none "
-            f"guarantees less than {short(low, 4)}. Nothing is proven between these times, nor of the "
+            f"guarantees less than {below(low, 4)}. Nothing is proven between these times, nor of the "
             "error of numerical integration."
         )
 

@@ -17,7 +17,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
-from sampling_design.records.record import short
+from sampling_design.records.record import below, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import halved, least_near
 from sampling_design.uncertain.box.expansion import UP, BoxCells, expanded, signs
@@ -121,7 +121,7 @@ def existence_over_box(
         if budget.over or cell.half.max(initial=0.0) < SMALLEST:
             values = model.values(worst[2])
             raise UndecidedError(
-                f"undecided: whether a certificate with rate {short(eta)} exists for every plant of the box; the "
+                f"undecided: whether a certificate with rate {below(eta)} exists for every plant of the box; the "
                 f"nearest to having none is at {at_parameters(values)} (margin {short(worst[0], 3)}). "
                 "Try a smaller box or rate.",
                 parameters=values, margin=worst[0],

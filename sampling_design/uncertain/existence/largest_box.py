@@ -15,7 +15,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, above, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -84,17 +84,17 @@ class LargestBox(PlainRecord):
     @property
     def claim(self) -> Claim:
         """What is proven."""
-        ranges = "; ".join(f"{k} in [{short(v)}, {short(self.high[k])}]" for k, v in self.low.items())
+        ranges = "; ".join(f"{k} in [{above(v)}, {below(self.high[k])}]" for k, v in self.low.items())
         return Claim(f"{self.question} for every plant with {ranges}", assumptions=("constant parameters",))
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [(name, f"{short(low)} to {short(self.high[name])}") for name, low in self.low.items()]
+        rows = [(name, f"{above(low)} to {below(self.high[name])}") for name, low in self.low.items()]
         failing = "none in the ranges" if self.worst is None else f"{at_parameters(self.worst)} ({short(self.refuted)})"
         return [*rows, ("a plant that fails", failing), ("cells", str(self.cells))]
 
     def explain(self) -> str:
         """Say how far the parameters may go."""
-        ranges = ", ".join(f"{k} from {short(v)} to {short(self.high[k])}" for k, v in self.low.items())
+        ranges = ", ".join(f"{k} from {above(v)} to {below(self.high[k])}" for k, v in self.low.items())
         end = "." if self.worst is None else f"; it fails at {at_parameters(self.worst)}."
         return f"{self.question[0].upper()}{self.question[1:]} for every plant with {ranges}{end}"
 

@@ -17,7 +17,7 @@ from sampling_design.errors import ArgumentError, CertificateError, UndecidedErr
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.record import short
+from sampling_design.records.record import below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.gap_range import GapRange
@@ -274,7 +274,7 @@ def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -
     worst = f"; the plant nearest to having none is {min(margins)[1]}" if margins else ""
     last = "" if verdict is None else f" (the last one: {verdict.reason})"
     return UndecidedError(
-        f"undecided: no P(tau) was proven at rate {short(eta)}{last}, and no plant and schedule without certificate "
+        f"undecided: no P(tau) was proven at rate {below(eta)}{last}, and no plant and schedule without certificate "
         f"were found{worst}. Try more pieces, a smaller eta or shorter gaps.",
         eta=eta, verification=verdict, nearest=min(margins)[1] if margins else None,
     )  # fmt: skip

@@ -18,7 +18,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import Plain, above, below
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
@@ -115,7 +115,7 @@ class InclusionCertificate(SampledCertificate):
         nonlinear = ("both trajectories stay in the plant's region", "noise added to the outputs")
         known = nonlinear if self.model is None and self.kind == "nonlinear" else ("linear plant in the model",)
         return Claim(
-            f"sample-based exponential i-iIOSS with rate {short(self.eta)} for every plant of the model, every "
+            f"sample-based exponential i-iIOSS with rate {below(self.eta)} for every plant of the model, every "
             "schedule of the family and every real window start",
             "Assumption 7",
             (*(known if self.model is None else self.model.assumptions), self.family.explain().rstrip(".")),
@@ -171,7 +171,7 @@ class InclusionCertificate(SampledCertificate):
             ("plant", f"{self.plant.name or '-'} ({about.get(self.kind, self.kind)})"),
             ("family", self.family.explain()),
             *super()._rows(),
-            ("horizon, arrival weight P(tau)", f"M > {short(arrival.minimum)} {self.plant.time_unit}"),
+            ("horizon, arrival weight P(tau)", f"M > {above(arrival.minimum)} {self.plant.time_unit}"),
             ("pieces", str(int(np.count_nonzero(self.nodes)))),
         ]
 
@@ -180,10 +180,10 @@ class InclusionCertificate(SampledCertificate):
         unit = self.plant.time_unit
         return (
             f"{self.family.explain()} Every plant of the model is detectable with each of these schedules: the "
-            f"distance of two trajectories, weighed by P(tau), decays at rate {short(self.eta)} per {unit}, up to what "
+            f"distance of two trajectories, weighed by P(tau), decays at rate {below(self.eta)} per {unit}, up to what "
             "disturbances, noise and samples show of it. The error bound of a moving horizon estimator contracts if "
-            f"its horizon is longer than {short(self.horizon('arrival').minimum)} {unit} with the arrival weight "
-            f"P(tau), and than {short(self.horizon().minimum)} {unit} with P2."
+            f"its horizon is longer than {above(self.horizon('arrival').minimum)} {unit} with the arrival weight "
+            f"P(tau), and than {above(self.horizon().minimum)} {unit} with P2."
         )
 
 

@@ -17,7 +17,7 @@ from sampling_design.observability.windows.window_sigma import left_of_sigma
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import short
+from sampling_design.records.record import above, below, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS, BoxBounds, branch
 from sampling_design.uncertain.box.model import BoxModel, at_parameters
@@ -103,7 +103,7 @@ class WindowSigmaOverBox(SigmaBracket):
         """What `lower` claims, and on what grounds."""
         balls = ", in ball arithmetic" if self.rigorous else ""
         return Claim(
-            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every plant of the box and every real window end "
+            f"sigma_n(O_s e^(-A(t-T))) >= {below(self.lower)} for every plant of the box and every real window end "
             f"t >= T + {short(self.from_time)}, T = {short(self.window)}",
             theorem="Theorem 14, hypothesis, for each plant of the box" + balls,
             assumptions=("constant parameters in their ranges", "the sample times are exact"),
@@ -118,10 +118,10 @@ class WindowSigmaOverBox(SigmaBracket):
             return f"{where}: {self.samples.size} samples are too few, and sigma is 0."
         if self.status == "unobservable":
             return (
-                f"Not every plant of the box is observable: {where[0].lower()}{where[1:]} sigma is {short(self.upper)}."
+                f"Not every plant of the box is observable: {where[0].lower()}{where[1:]} sigma is {above(self.upper)}."
             )
         length = f"{short(self.window)} {self.time_unit}"
-        proven = f"Sigma is at least {short(self.lower)} for every plant of the box, over every window of {length}"
+        proven = f"Sigma is at least {below(self.lower)} for every plant of the box, over every window of {length}"
         return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
 
 

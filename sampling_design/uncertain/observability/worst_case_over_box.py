@@ -24,7 +24,7 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import Plain, below, short
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS
@@ -118,7 +118,7 @@ class WorstCaseOverBox(SigmaBracket):
         """What `lower` claims, and on what grounds."""
         f = self.family
         return Claim(
-            f"sigma_n(O_s) >= {short(self.lower)} for every plant of the box and all schedules with at least {f.count} "
+            f"sigma_n(O_s) >= {below(self.lower)} for every plant of the box and all schedules with at least {f.count} "
             f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}{self._read()}",
             theorem="Theorem 17, for each plant of the box" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("constant parameters in their ranges", "every sample measures all outputs"),
@@ -130,7 +130,7 @@ class WorstCaseOverBox(SigmaBracket):
             return NO_STATES
         where = f"The worst plant has {at_parameters(self.worst)}, at {short(self.witness)} {self.plant.time_unit}"
         proven = (
-            f"Sigma is at least {short(self.lower)} for every plant of the box and every such schedule{self._read()}"
+            f"Sigma is at least {below(self.lower)} for every plant of the box and every such schedule{self._read()}"
         )
         return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
 

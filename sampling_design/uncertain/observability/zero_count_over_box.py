@@ -61,7 +61,7 @@ class ZeroCountOverBox(SampleCount):
     )
     _table = {
         "k*, at most": "{value}",
-        "frequency spread": "{attained} to {frequency_spread} rad/{plant.nominal.time_unit}",
+        "frequency spread": "{attained:down} to {frequency_spread} rad/{plant.nominal.time_unit}",
         "fastest plant": "{worst:or the nominal plant}",
     }
     _plain = "value samples_needed frequency_spread attained duration cells worst claim"

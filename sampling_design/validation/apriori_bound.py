@@ -11,7 +11,7 @@ from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.numerics.linalg import quadratic
 from sampling_design.records.arrays import Array
-from sampling_design.validation.error_map import ErrorMap, ErrorRows, SolveWindow
+from sampling_design.validation.error_map import ErrorMap, SolveWindow
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, most_along
 from sampling_design.validation.timeline import Timeline
 
@@ -31,21 +31,20 @@ class AprioriBound:
     rate: float
     gain: float
 
-    def along(self, line: Timeline, rows: ErrorRows, inputs: ErrorSources) -> Array:
+    def along(self, line: Timeline, inputs: ErrorSources) -> Array:
         """Return the right side at every row, for every run: (r, R)."""
-        samples = {int(b): j for j, b in enumerate(line.samples)}
         total = quadratic(inputs.e0, self.prior)
         energy = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
         noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.sample_weights(line.masks), inputs.v)
         decay = np.exp(-self.rate * line.lengths)
-        radii = np.empty((rows.at.size, total.size))
+        radii = np.empty((line.rows.at.size, total.size))
         last = 0
-        for row, (b, after) in enumerate(zip(rows.at, rows.after, strict=True)):
+        for row, (b, after) in enumerate(zip(line.rows.at, line.rows.after, strict=True)):
             for c in range(last, b):
                 total = total * decay[c] + energy[:, c]
             last = b
-            if after and int(b) in samples:
-                total = total + noise[:, samples[int(b)]]
+            if after and int(b) in line.sample_at:
+                total = total + noise[:, line.sample_at[int(b)]]
             radii[row] = total
         return self.gain * radii.T
 
@@ -53,11 +52,11 @@ class AprioriBound:
         """Return the weight of v at each of N samples, (N, p, p): what is not measured is free."""
         return np.array([marginal(self.v, mask > 0) for mask in masks])
 
-    def at_most(self, line: Timeline, rows: ErrorRows, energies: tuple[float, float, Array]) -> Array:
+    def at_most(self, line: Timeline, energies: tuple[float, float, Array]) -> Array:
         """Return the right side at every row for the largest |e0|^2, |w|^2 and (per sample) |v|^2 in these weights."""
         e0, w, v = energies
-        t, when = rows.times, line.times[line.samples]
-        counted = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & rows.after[:, None])
+        t, when = line.rows.times, line.times[line.samples]
+        counted = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & line.rows.after[:, None])
         decay = np.exp(-self.rate * np.maximum(t[:, None] - when[None], 0.0))
         total = np.exp(-self.rate * t) * e0 + w * discounted_length(self.rate, t) + np.where(counted, decay, 0.0) @ v
         return np.asarray(self.gain * total)
@@ -99,16 +98,14 @@ def sensitivity(error_map: ErrorMap, row: int) -> ErrorSources:
     line = error_map.timeline
     n, q, p = line.plant.n_states, line.plant.n_disturbances, line.plant.n_outputs
     result = ErrorSources(np.zeros((n, n)), np.zeros((line.cells, n, q)), np.zeros((line.samples.size, n, p)))
-    place = {int(b): k for k, b in enumerate(line.events)}
-    solves = {window.end: window for window in error_map.windows}
-    b, after, functional = int(error_map.rows.at[row]), bool(error_map.rows.after[row]), np.eye(n)
+    b, after, functional = int(line.rows.at[row]), bool(line.rows.after[row]), np.eye(n)
     while True:
-        k = place.get(b)
-        if after and k in solves:
-            functional = _through_window(error_map, solves[k], functional, result)
-            if solves[k].given:
+        if after and b in line.sample_at:
+            window = error_map.windows[error_map.place[b]]
+            functional = _through_window(error_map, window, functional, result)
+            if window.given:
                 break
-            b = int(line.events[solves[k].start])
+            b = int(line.events[window.start])
             continue
         if b == 0:
             break
@@ -144,7 +141,7 @@ def worst_energy(error_map: ErrorMap, apriori: AprioriBound) -> tuple[float, int
 
     At most MOST_TARGETS rows are looked at, always the last ones before and after a sample among them.
     """
-    ends = np.sort(np.concatenate([error_map.rows.samples, error_map.rows.samples - 1]))
+    ends = np.sort(np.concatenate([error_map.timeline.rows.samples, error_map.timeline.rows.samples - 1]))
     chosen = ends[np.unique(np.linspace(0, ends.size - 1, min(MOST_TARGETS, ends.size)).astype(int))]
     best: tuple[float, int, Array, ErrorSources] | None = None
     for row in chosen:
@@ -166,7 +163,7 @@ def _bound_terms(
     error_map: ErrorMap, apriori: AprioriBound, row: int, parts: ErrorSources
 ) -> list[tuple[Array, Array]]:
     """Each part, a stack of matrices, with the inverses of its weights in the promise at that row."""
-    line, t = error_map.timeline, error_map.rows.times[row]
+    line, t = error_map.timeline, error_map.timeline.rows.times[row]
     inside, rate = line.times[1:] <= t * (1 + 1e-15), apriori.rate
     faded = np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted_length(rate, line.lengths)
     cost = np.where(inside, faded, np.inf)
@@ -186,7 +183,7 @@ def worst_disturbance(error_map: ErrorMap, bounds: ScenarioBounds, root: Array) 
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.
     """
-    rows = [int(error_map.rows.samples[-1]), int(error_map.rows.at.size - 1)]
+    rows = [int(error_map.timeline.rows.samples[-1]), int(error_map.timeline.rows.at.size - 1)]
     runs = []
     for row in rows:
         parts = sensitivity(error_map, row)

@@ -21,7 +21,6 @@ from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
@@ -29,8 +28,7 @@ from sampling_design.records.signatures import checked
 from sampling_design.records.sweeps import Journal, digest
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.validation.error_map import ErrorRows
-from sampling_design.validation.monte_carlo import ratio, read_trials
+from sampling_design.validation.monte_carlo import growth, read_trials
 from sampling_design.validation.report import ClaimCheck, ErrorCurve, ValidationReport
 from sampling_design.validation.scenario import (
     ErrorSources,
@@ -39,80 +37,9 @@ from sampling_design.validation.scenario import (
     initial_inputs,
     resonant_inputs,
 )
-from sampling_design.validation.study import SCENARIOS, ValidationStudy
+from sampling_design.validation.study import GROWTH_LIMIT, SCENARIOS, ValidationStudy
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 from sampling_design.validation.trials import EstimatedRun, real_run, true_run
-
-GROWTH_LIMIT = {"resonant": 1.5, "initial": 1.0}
-"""Largest error of the second half over that of the first: a settled error under a disturbance in step with a mode
-repeats itself (1), one that grows linearly doubles (2); what a wrong prior leaves decays."""
-
-
-class EstimatorStudy:
-    """One estimator under the scenarios that need nothing but its estimates."""
-
-    def __init__(
-        self, line: Timeline, bounds: ScenarioBounds, estimator: Estimator, seeds: Sequence[np.random.SeedSequence]
-    ):
-        self.line, self.bounds, self.estimator, self.seeds = line, bounds, estimator, seeds
-        samples = set(line.samples.tolist())
-        at = np.array([b for b in range(line.times.size) for _ in range(1 + (b in samples))])
-        self.rows = ErrorRows(at, np.append(at[1:] != at[:-1], True), line.times[at])
-
-    def report(
-        self, scenarios: Sequence[str], settings: Mapping[str, object], progress: Progress | None
-    ) -> ValidationReport:
-        """Run the scenarios that are known here, and say of the others that they are not."""
-        made, error_curves = list[ClaimCheck](), list[ErrorCurve]()
-        inputs: dict[str, Callable[[], ErrorSources]] = {
-            "random": lambda: draw_inputs(self.line, self.bounds, self.seeds),
-            "resonant": lambda: resonant_inputs(self.line, self.bounds)[0],
-            "initial": lambda: initial_inputs(self.line, self.bounds),
-        }
-        known = [name for name in scenarios if name in inputs]
-        for k, name in enumerate(known):
-            if progress is not None:
-                progress(k / len(known), name)
-            runs = self._runs(inputs[name]())
-            size = np.linalg.norm([run.errors(self.rows) / self.line.plant.states.scales for run in runs], axis=2)
-            error_curves.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
-            made += [*self._growth(name, size), *self._promised(name, runs)]
-        if progress is not None:
-            progress(1.0, "done")
-        return ValidationReport(
-            plant=self.line.plant,
-            checks=tuple(made),
-            times=self.rows.times,
-            bound=None,
-            norm="states over their scales",
-            error_curves=tuple(error_curves),
-            settings=settings,
-            skipped=tuple(f"{name}: it needs a certificate's estimator." for name in scenarios if name not in known),
-        )
-
-    def _runs(self, inputs: ErrorSources) -> list[EstimatedRun]:
-        runs = []
-        for k in range(len(inputs.e0)):
-            self.estimator.start(np.zeros(self.line.plant.n_states), 0.0)
-            runs.append(real_run(self.line, self.rows, true_run(self.line, inputs, k, steered=False), self.estimator))
-        return runs
-
-    def _growth(self, name: str, size: Array) -> list[ClaimCheck]:
-        if name not in GROWTH_LIMIT:
-            return []
-        early = self.rows.times <= self.line.times[-1] / 2
-        growth = float(np.max(ratio(size[:, ~early].max(axis=1), size[:, early].max(axis=1))))
-        return [ClaimCheck("error does not grow", name, GROWTH_LIMIT[name], growth)]
-
-    def _promised(self, name: str, runs: list[EstimatedRun]) -> list[ClaimCheck]:
-        """Of the estimates that say that their ellipsoid is proven, whether it held the truth."""
-        ratios = [
-            each.ratio(x)
-            for run in runs
-            for each, x in zip(run.estimates, run.truth.states[self.rows.at], strict=True)
-            if each.certified
-        ]
-        return [ClaimCheck("online ellipsoid", name, 1.0, max(ratios))] if ratios else []
 
 
 @checked
@@ -237,13 +164,60 @@ def validate(
     if estimator is not None:
         line = build_timeline(plant, schedule, default_duration(schedule, 0.0) if duration is None else duration)
         known = {**_settings(line, count, chosen, bounds, root), "estimator": type(estimator).__name__}
-        return EstimatorStudy(line, bounds, estimator, root.spawn(count)).report(chosen, known, progress)
+        return _study_estimates(line, bounds, estimator, chosen, root.spawn(count), known, progress)
     settled = (plant, schedule, certificate, bounds, options, duration, count, _seed_of(root))
     study = ValidationStudy(plant, schedule, certificate, bounds, options, duration)
     if resume is not None:
         study.journal = Journal(resume, digest(*settled, __version__, np.__version__), read_trials)
     study.run(chosen, root.spawn(count), workers, progress)
     return study.report({**_settings(study.line, count, chosen, bounds, root), "horizon": study.horizon})
+
+
+def _study_estimates(
+    line: Timeline,
+    bounds: ScenarioBounds,
+    estimator: Estimator,
+    scenarios: Sequence[str],
+    seeds: Sequence[np.random.SeedSequence],
+    settings: Mapping[str, object],
+    progress: Progress | None,
+) -> ValidationReport:
+    """Run one estimator under the scenarios that need nothing but its estimates; say of the others that they do."""
+    found, error_curves, start = list[ClaimCheck](), list[ErrorCurve](), np.zeros(line.plant.n_states)
+    inputs: dict[str, Callable[[], ErrorSources]] = {
+        "random": lambda: draw_inputs(line, bounds, seeds),
+        "resonant": lambda: resonant_inputs(line, bounds)[0],
+        "initial": lambda: initial_inputs(line, bounds),
+    }
+    known = [name for name in scenarios if name in inputs]
+    for k, name in enumerate(known):
+        if progress is not None:
+            progress(k / len(known), name)
+        drawn, runs = inputs[name](), list[EstimatedRun]()
+        for run in range(len(drawn.e0)):
+            estimator.start(start, 0.0)
+            runs.append(real_run(line, true_run(line, drawn, run, steered=False), estimator))
+        size = np.linalg.norm([run.errors / line.plant.states.scales for run in runs], axis=2)
+        error_curves.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
+        if name in GROWTH_LIMIT:
+            worst = float(np.max(growth(size, line.rows.times)))
+            found.append(ClaimCheck("error does not grow", name, GROWTH_LIMIT[name], worst))
+        certified = np.array([[each.certified for each in run.estimates] for run in runs])
+        if certified.any():  # of those that say that their ellipsoid is proven: did it hold the truth?
+            worst = float(np.max(np.array([run.ratios for run in runs])[certified]))
+            found.append(ClaimCheck("online ellipsoid", name, 1.0, worst))
+    if progress is not None:
+        progress(1.0, "done")
+    return ValidationReport(
+        plant=line.plant,
+        checks=tuple(found),
+        times=line.rows.times,
+        bound=None,
+        norm="states over their scales",
+        error_curves=tuple(error_curves),
+        settings=settings,
+        skipped=tuple(f"{name}: it needs a certificate's estimator." for name in scenarios if name not in known),
+    )
 
 
 def _settings(

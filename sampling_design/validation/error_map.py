@@ -8,7 +8,6 @@ depend on the schedule alone. States that grow never enter, so they cannot drown
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
 from sampling_design.numerics.linalg import discounted_flow
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
 
@@ -46,20 +45,6 @@ class SolveWindow:
     known: float
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorRows:
-    """Where errors are looked at: every break point, a sample's both before and after it."""
-
-    at: Index
-    after: Mask
-    times: Array
-
-    @cached_property
-    def samples(self) -> Index:
-        """Rows just after a sample: those whose break point has a row before."""
-        return np.flatnonzero(np.concatenate([[False], self.at[1:] == self.at[:-1]]))
-
-
 class RunErrors(NamedTuple):
     """Errors xhat - x (r, R, n) and radii (r, R) of r runs at the rows of a map."""
 
@@ -67,51 +52,107 @@ class RunErrors(NamedTuple):
     radius: Array
 
 
-@dataclass(frozen=True, eq=False)
 class ErrorMap:
-    """Error of an estimator with given weights and horizon along a timeline. Built by `build_error_map`."""
+    """Error of an estimator with given weights and horizon along a timeline: covariances and gains of all its windows.
 
-    timeline: Timeline
-    F: Array  # F, decay, (K, n, n), (K,): flow and discount between events
-    decay: Array
-    windows: tuple[SolveWindow, ...]
-    rows: ErrorRows
-    half: Array  # (R, n, n): |half e|^2 = |e|^2_Pi at each row
-    H: Array  # (N, p, n): weighted rows of C and of v at each sample
-    weigh: Array
-    w_energy: float
-    prior_energy: float
-    eta: float
+    Parameters
+    ----------
+    timeline : Timeline
+        Built with the estimator's horizon.
+    estimator : MovingHorizonEstimator
+        Or another that names its `weights` (prior, w, y, eta); `arrival_cost` is "fixed" where it names none. A cost
+        "paper" means windows closed at their start.
+    bounds : ScenarioBounds
+        For the radii.
+    """
+
+    def __init__(self, timeline: Timeline, estimator: OnlineEstimator, bounds: ScenarioBounds):
+        line, weights = timeline, estimator.weights
+        self.timeline, self.weights, eta = line, weights, weights.eta
+        gaps = np.diff(line.times[line.events])
+        self.F, self.W = discounted_flow(line.plant.A, weights.noise, gaps, eta)  # (K, n, n), between events
+        self.growth, self.decay = np.exp(eta * gaps), np.exp(-eta * gaps)
+        self.weigh = weights.of(line.masks).y_root  # (N, p, p) and (N, p, n): weighted rows of v and C at each sample
+        self.H = self.weigh @ line.plant.C
+        self.prior = weights.prior_root @ weights.prior_root.T
+        self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
+        self.place = {int(b): k for k, b in enumerate(line.events)}
+        self.energies = weights.sample_energy(bounds.v, False, line.masks)
+        self.w_energy, self.prior_energy = weights.disturbance_energy(bounds.w), weights.prior_energy(bounds.e0)
+        self.windows: dict[int, SolveWindow] = {}  # by the event at which they end
+        covariances = self._covariances()  # (R, n, n), and |half e|^2 = |e|^2_Pi at each row
+        self.half = np.asarray(np.linalg.solve(np.linalg.cholesky(covariances), np.eye(line.plant.n_states)))
+
+    def _covariances(self) -> Array:
+        """Solve every window; return the covariances at the rows."""
+        line, eta = self.timeline, self.weights.eta
+        noise = discounted_flow(line.plant.A, self.weights.noise, line.lengths, eta)[1]
+        Y, covariances = self.prior, []
+        online: dict[int, Array] = {}
+        for b in range(line.times.size):
+            if b:
+                Y = propagate(np.exp(eta * line.lengths[b - 1]) * Y, line.F[b - 1], noise[b - 1])
+            if b in line.sample_at:
+                covariances.append(Y)
+                window, Y = self._window(b, online)
+                self.windows[window.end] = window
+            if b in self.place:
+                online[self.place[b]] = Y
+            covariances.append(Y)
+        return np.array(covariances)
+
+    def _window(self, b: int, online: dict[int, Array]) -> tuple[SolveWindow, Array]:
+        line, j, eta = self.timeline, self.timeline.sample_at[b], self.weights.eta
+        start, end, times = self.place[int(line.starts[j])], self.place[b], line.times[line.events]
+        given = bool(line.given[j])
+        Y, worst = self.prior, 1.0
+        if not given:
+            factor = self.weights.prior_factor
+            worst = 1.0 if self.filtered else float(np.linalg.eigvalsh(factor.T @ online[start] @ factor)[-1])
+            Y = online[start] if self.filtered else Y
+        length = times[end] - times[start]
+        known = self.w_energy * float(discounted_length(eta, length)) if length > 0 else 0.0
+        absorbs: dict[int, SampleUpdate] = {}
+        for k in range(start, end + 1):
+            if k > start:
+                Y = propagate(self.growth[k - 1] * Y, self.F[k - 1], self.W[k - 1])
+            sample = line.sample_at.get(int(line.events[k]))
+            if sample is not None and (k > start or given or self.weights.cost == "paper"):
+                absorbs[k], Y = self._absorbed(sample, Y)
+                known += self.energies[sample] * float(np.exp(eta * (times[k] - times[end])))
+        return SolveWindow(start, end, given, absorbs, float(np.exp(-eta * length)), worst, known), Y
+
+    def _absorbed(self, j: int, Y: Array) -> tuple[SampleUpdate, Array]:
+        H = self.H[j]
+        unit = np.eye(len(H))
+        root = whitened(unit, propagate(Y, H, unit))
+        Y, gain = update_with_gain(Y, H)
+        return SampleUpdate(j, gain, root), Y
 
     def apply(self, inputs: ErrorSources) -> RunErrors:
         """Return errors and radii of a batch of runs."""
         line, runs = self.timeline, inputs.e0.shape[0]
-        n, rows = line.plant.n_states, self.rows
-        events = {int(b): k for k, b in enumerate(line.events)}
-        solves = {window.end: window for window in self.windows}
+        n, size, eta = line.plant.n_states, line.rows.at.size, self.weights.eta
         d = self._displacements(inputs.w)
         v = np.einsum("jab,rjb->jra", self.weigh, inputs.v)
         e, radius = np.array(inputs.e0), np.full(runs, self.prior_energy)
-        errors, radii = np.empty((rows.at.size, runs, n)), np.empty((rows.at.size, runs))
+        errors, radii = np.empty((size, runs, n)), np.empty((size, runs))
         online: list[tuple[Array, Array]] = [(e, radius)] * line.events.size
         row = 0
         for b in range(line.times.size):
             if b:
                 e = e @ line.F[b - 1].T - inputs.w[:, b - 1] @ line.gamma[b - 1].T
-                radius = self._radius_after(radius, line.lengths[b - 1])
-            k = events.get(b)
-            if k is not None and k in solves:
+                h = line.lengths[b - 1]
+                radius = np.asarray(radius * np.exp(-eta * h) + self.w_energy * discounted_length(eta, h))
+            if b in line.sample_at:
                 errors[row], radii[row] = e, radius
                 row += 1
-                e, radius = self._solve(solves[k], online, (inputs.e0, d, v))
-            if k is not None:
-                online[k] = e, radius
+                e, radius = self._solve(self.windows[self.place[b]], online, (inputs.e0, d, v))
+            if b in self.place:
+                online[self.place[b]] = e, radius
             errors[row], radii[row] = e, radius
             row += 1
         return RunErrors(errors.transpose(1, 0, 2), radii.T)
-
-    def _radius_after(self, radius: Array, h: float) -> Array:
-        return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted_length(self.eta, h))
 
     def _solve(
         self, window: SolveWindow, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]
@@ -128,8 +169,7 @@ class ErrorMap:
                 innovation = v[absorb.sample] - e @ self.H[absorb.sample].T
                 cost = cost + np.sum((innovation @ absorb.root.T) ** 2, axis=1)
                 e = e + innovation @ absorb.gain.T
-        worst = 1.0 if window.given else window.worst
-        return e, np.maximum(window.discount * worst * radius + window.known - cost, 0.0)
+        return e, np.maximum(window.discount * window.worst * radius + window.known - cost, 0.0)
 
     def _displacements(self, w: Array) -> Array:
         """What w adds to the state between events, (K, r, n)."""
@@ -146,93 +186,3 @@ class ErrorMap:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = square / errors.radius
         return np.where(errors.radius > 0, ratio, np.where(square > 0, np.inf, 0.0))
-
-
-def build_error_map(timeline: Timeline, estimator: OnlineEstimator, bounds: ScenarioBounds) -> ErrorMap:
-    """Return the error map of an estimator that names its `weights` (prior, w, y, eta), and `arrival_cost`.
-
-    Parameters
-    ----------
-    timeline : Timeline
-        Built with the estimator's horizon.
-    estimator : MovingHorizonEstimator
-        Or another with such weights; `arrival_cost` is "fixed" where it names none. A cost "paper" means windows
-        closed at their start.
-    bounds : Bounds
-        For the radii.
-    """
-    return _ErrorMapBuilder(estimator, timeline, bounds).build()
-
-
-class _ErrorMapBuilder:
-    """Covariances and gains of all windows, in order of time."""
-
-    def __init__(self, estimator: OnlineEstimator, line: Timeline, bounds: ScenarioBounds):
-        self.weights, self.line, self.bounds = estimator.weights, line, bounds
-        gaps, eta = np.diff(line.times[line.events]), self.weights.eta
-        self.F, self.W = discounted_flow(line.plant.A, self.weights.noise, gaps, eta)
-        self.growth, self.decay = np.exp(eta * gaps), np.exp(-eta * gaps)
-        self.weigh = self.weights.of(line.masks).y_root
-        self.H = self.weigh @ line.plant.C
-        self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
-        self.closed = self.weights.cost == "paper"
-        self.prior = self.weights.prior_root @ self.weights.prior_root.T
-        self.place = {int(b): k for k, b in enumerate(line.events)}
-        self.sample_of = {self.place[int(b)]: j for j, b in enumerate(line.samples)}
-        self.energies = self.weights.sample_energy(bounds.v, False, line.masks)
-        self.w_energy = self.weights.disturbance_energy(bounds.w)
-
-    def build(self) -> ErrorMap:
-        """The map of all windows."""
-        line, eta = self.line, self.weights.eta
-        noise = discounted_flow(line.plant.A, self.weights.noise, line.lengths, eta)[1]
-        Y, windows, covariances, at, after = self.prior, [], [], [], []
-        online = {0: Y}
-        for b in range(line.times.size):
-            if b:
-                Y = propagate(np.exp(eta * line.lengths[b - 1]) * Y, line.F[b - 1], noise[b - 1])
-            k = self.place.get(b)
-            if k is not None and k in self.sample_of:
-                covariances.append(Y)
-                at.append(b)
-                after.append(False)
-                window, Y = self._window(k, online)
-                windows.append(window)
-            if k is not None:
-                online[k] = Y
-            covariances.append(Y)
-            at.append(b)
-            after.append(True)
-        half = np.asarray(np.linalg.solve(np.linalg.cholesky(np.array(covariances)), np.eye(Y.shape[0])))
-        rows = ErrorRows(np.array(at), np.array(after), line.times[at])
-        return ErrorMap(
-            timeline=line, F=self.F, decay=self.decay, windows=tuple(windows), rows=rows, half=half, H=self.H,
-            weigh=self.weigh, w_energy=self.w_energy, prior_energy=self.weights.prior_energy(self.bounds.e0), eta=eta,
-        )  # fmt: skip
-
-    def _window(self, end: int, online: dict[int, Array]) -> tuple[SolveWindow, Array]:
-        j, times = self.sample_of[end], self.line.times[self.line.events]
-        start = self.place[int(self.line.starts[j])]
-        given = bool(self.line.given[j])
-        Y, worst = self.prior, 1.0
-        if not given:
-            factor = self.weights.prior_factor
-            worst = 1.0 if self.filtered else float(np.linalg.eigvalsh(factor.T @ online[start] @ factor)[-1])
-            Y = online[start] if self.filtered else Y
-        length = times[end] - times[start]
-        known = self.w_energy * float(discounted_length(self.weights.eta, length)) if length > 0 else 0.0
-        absorbs: dict[int, SampleUpdate] = {}
-        for k in range(start, end + 1):
-            if k > start:
-                Y = propagate(self.growth[k - 1] * Y, self.F[k - 1], self.W[k - 1])
-            if k in self.sample_of and (k > start or given or self.closed):
-                absorbs[k], Y = self._absorbed(self.sample_of[k], Y)
-                known += self.energies[self.sample_of[k]] * float(np.exp(self.weights.eta * (times[k] - times[end])))
-        return SolveWindow(start, end, given, absorbs, float(np.exp(-self.weights.eta * length)), worst, known), Y
-
-    def _absorbed(self, j: int, Y: Array) -> tuple[SampleUpdate, Array]:
-        H = self.H[j]
-        unit = np.eye(len(H))
-        root = whitened(unit, propagate(Y, H, unit))
-        Y, gain = update_with_gain(Y, H)
-        return SampleUpdate(j, gain, root), Y

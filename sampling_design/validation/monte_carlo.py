@@ -53,9 +53,7 @@ def measured(
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
     promised = np.full(size.shape[0], np.nan)
     if apriori is not None:
-        promised = np.max(
-            ratio(apriori.size(errors.e), apriori.along(error_map.timeline, error_map.rows, inputs)), axis=1
-        )
+        promised = np.max(ratio(apriori.size(errors.e), apriori.along(error_map.timeline, inputs)), axis=1)
     plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
     return MonteCarloTrials(size, promised, error_map.ellipsoid_ratio(errors), plain)
 
@@ -64,6 +62,12 @@ def ratio(observed: Array, promised: Array) -> Array:
     """Return observed / promised; 0 where both are zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(observed > 0, observed / promised, 0.0)
+
+
+def growth(size: Array, times: Array) -> Array:
+    """Return the largest error of the second half of each run over that of the first, from sizes (r, R) at times."""
+    early = times <= times[-1] / 2
+    return ratio(size[:, ~early].max(axis=1), size[:, early].max(axis=1))
 
 
 def monte_carlo(
@@ -100,7 +104,7 @@ def monte_carlo(
     known = {} if journal is None else journal.known
     parts = {k: known[f"{name} {k}"] for k in range(len(blocks)) if f"{name} {k}" in known}
     for k, part in parts.items():
-        _fits(part, len(blocks[k]), error_map.rows.times.size, str(journal and journal.path))
+        _fits(part, len(blocks[k]), error_map.timeline.rows.times.size, str(journal and journal.path))
     todo = [k for k in range(len(blocks)) if k not in parts]
     run = partial(run_block, error_map, bounds, apriori, measure)
     for place, part in numbered(run, [blocks[k] for k in todo], workers):

@@ -32,7 +32,6 @@ def sides(
     root, eta = np.linalg.cholesky(certificate.P1).T, certificate.eta
     x = pairs.e0
     total = np.einsum("ri,ij,rj->r", x, certificate.P2, x)
-    samples = {int(b): j for j, b in enumerate(line.samples)}
     best = (0.0, start)
     for c in range(start, stop):
         h, w = line.lengths[c], pairs.w[:, c]
@@ -41,7 +40,7 @@ def sides(
         x = x @ line.F[c].T + w @ line.gamma[c].T
         left = np.sum((x @ root.T) ** 2, axis=1)
         best = max(best, (float(np.max(left / total)), c + 1))
-        j = samples.get(c + 1)
+        j = line.sample_at.get(c + 1)
         if j is not None:
             measured, v = line.masks[j] > 0, pairs.v[:, j]
             y = x @ line.plant.C.T + v
@@ -82,13 +81,12 @@ def _cell_noise(line: Timeline, certificate: SampledCertificate, c: int) -> tupl
 def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> tuple[list[Array], list[Array]]:
     """Covariances of one start, before and after each break point."""
     Y = np.asarray(np.linalg.inv(certificate.P2))
-    samples = {int(b): j for j, b in enumerate(line.samples)}
     before, later = [Y], [Y]
     for c in range(start, stop):
         gamma, unit = _cell_noise(line, certificate, c)
         Y = propagate(np.exp(certificate.eta * line.lengths[c]) * Y, line.F[c], gamma @ unit @ gamma.T)
         before.append(Y)
-        j = samples.get(c + 1)
+        j = line.sample_at.get(c + 1)
         if j is not None:
             measured = line.masks[j] > 0
             noise = np.linalg.inv(certificate.R) + np.linalg.inv(certificate.Qv)
@@ -105,10 +103,9 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
     x = np.linalg.solve(root, vectors[:, -1] * np.sqrt(values[-1]))
     w = np.zeros((1, line.cells, plant.n_disturbances))
     v = np.zeros((1, line.samples.size, plant.n_outputs))
-    samples = {int(b): j for j, b in enumerate(line.samples)}
     for c in range(stop - 1, start - 1, -1):
-        if c + 1 < stop and c + 1 in samples:
-            j = samples[c + 1]
+        if c + 1 < stop and c + 1 in line.sample_at:
+            j = line.sample_at[c + 1]
             measured = line.masks[j] > 0
             R, Qv = (marginal(M, measured)[np.ix_(measured, measured)] for M in (certificate.R, certificate.Qv))
             v[0, j, measured] = -np.linalg.solve(R + Qv, R @ plant.C[measured] @ x)

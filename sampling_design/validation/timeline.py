@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,6 +22,20 @@ CELLS_PER_GAP = 6  # cells of a mean gap: a disturbance may change its mind that
 CELLS_PER_CYCLE = 16
 """Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
 LARGEST = 20_000  # cells of one timeline; a disturbance gets coarser cells rather than more of them
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorRows:
+    """Where errors are looked at: every break point, a sample's both before and after it."""
+
+    at: Index
+    after: Mask
+    times: Array
+
+    @property
+    def samples(self) -> Index:
+        """Rows just after a sample: those whose break point has a row before."""
+        return np.flatnonzero(np.concatenate([[False], self.at[1:] == self.at[:-1]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +79,17 @@ class Timeline:
     def lengths(self) -> Array:
         """Lengths of the cells, (T,)."""
         return np.diff(self.times)
+
+    @cached_property
+    def sample_at(self) -> dict[int, int]:
+        """Which sample is taken at a break point, of those that have one."""
+        return {int(b): j for j, b in enumerate(self.samples)}
+
+    @cached_property
+    def rows(self) -> ErrorRows:
+        """Where errors are looked at."""
+        at = np.sort(np.concatenate([np.arange(self.times.size), self.samples]))
+        return ErrorRows(at, np.append(at[1:] != at[:-1], True), self.times[at])
 
 
 def build_timeline(

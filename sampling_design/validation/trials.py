@@ -11,7 +11,6 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator, estimate_from
 from sampling_design.plants.plant import Plant, remade
 from sampling_design.records.arrays import Array
-from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.timeline import Timeline, exact_flow
 
@@ -35,14 +34,20 @@ class SimulatedRun:
 
 
 class EstimatedRun(NamedTuple):
-    """Estimates at every row of a map, and the truth beside them."""
+    """Estimates at every row of a timeline, and the true states (R, n) beside them."""
 
     estimates: tuple[Estimate, ...]
-    truth: SimulatedRun
+    states: Array
 
-    def errors(self, rows: ErrorRows) -> Array:
+    @property
+    def errors(self) -> Array:
         """Errors at the rows, (R, n)."""
-        return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
+        return np.array([e.x for e in self.estimates]) - self.states
+
+    @property
+    def ratios(self) -> Array:
+        """How far the truth is out in each ellipsoid, (R,): at most 1 where it holds."""
+        return np.array([e.ratio(x) for e, x in zip(self.estimates, self.states, strict=True)])
 
 
 def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: bool = True) -> SimulatedRun:
@@ -51,7 +56,6 @@ def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: boo
     plant = line.plant
     pace = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
     steered = steered and pace * line.times[-1] > GROWTH
-    samples = {int(b): j for j, b in enumerate(line.samples)}
     marks = np.unique(np.concatenate([[0], line.samples, [line.cells]]))
     through = exact_flow(plant, line.lengths, np.eye(plant.n_states))[1]
     x, u = -inputs.e0[run], np.zeros(plant.n_states)
@@ -60,8 +64,8 @@ def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: boo
         if b:
             x = line.F[b - 1] @ x + line.gamma[b - 1] @ inputs.w[run, b - 1] + through[b - 1] @ u
         states[b] = x
-        if b in samples:
-            j = samples[b]
+        if b in line.sample_at:
+            j = line.sample_at[b]
             outputs.append(np.where(line.masks[j] > 0, plant.C @ x + inputs.v[run, j], np.nan))
         if steered and b in marks[:-1]:
             until = line.times[marks[np.searchsorted(marks, b) + 1]]
@@ -73,14 +77,14 @@ def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: boo
     return SimulatedRun(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
 
 
-def real_run(line: Timeline, rows: ErrorRows, truth: SimulatedRun, estimator: Estimator) -> EstimatedRun:
+def real_run(line: Timeline, truth: SimulatedRun, estimator: Estimator) -> EstimatedRun:
     """Feed a truth's outputs to an estimator and ask it at every row."""
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:
         estimator.update(0.0, None, truth.u[0])
     estimates: list[Estimate] = []
     j = 0
-    for b, after in zip(rows.at, rows.after, strict=True):
+    for b, after in zip(line.rows.at, line.rows.after, strict=True):
         t = float(line.times[b])
         if after and j < line.samples.size and b == line.samples[j]:
             came = estimator.update(t, truth.y[j], None if truth.u is None else truth.u[j + first])
@@ -88,7 +92,7 @@ def real_run(line: Timeline, rows: ErrorRows, truth: SimulatedRun, estimator: Es
         else:
             came = estimator.predict(t)
         estimates.append(estimate_from(came, t, truth.states.shape[1]))
-    return EstimatedRun(tuple(estimates), truth)
+    return EstimatedRun(tuple(estimates), truth.states[line.rows.at])
 
 
 def extent(truth: SimulatedRun, room: float = 0.0) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import pytest
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.validation.apriori_bound import sensitivity
-from sampling_design.validation.error_map import build_error_map
+from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.monte_carlo import monte_carlo
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
@@ -31,7 +31,7 @@ def estimator():
 def setting():
     line = build_timeline(PLANT, SCHEDULE, float(SAMPLES), 20.0)
     assert line.samples.size == SAMPLES
-    return line, build_error_map(line, estimator(), BOUNDS)
+    return line, ErrorMap(line, estimator(), BOUNDS)
 
 
 def test_built(benchmark):
@@ -51,10 +51,10 @@ def test_one_run_of_the_real_estimator(benchmark):
     line, found = setting()
     inputs = draw_inputs(line, BOUNDS, np.random.SeedSequence(0).spawn(1))
     truth = true_run(line, inputs)
-    run = benchmark.pedantic(lambda: real_run(line, found.rows, truth, estimator()), rounds=1)
-    assert run.errors(found.rows) == pytest.approx(found.apply(inputs).e[0], abs=1e-9)
+    run = benchmark.pedantic(lambda: real_run(line, truth, estimator()), rounds=1)
+    assert run.errors == pytest.approx(found.apply(inputs).e[0], abs=1e-9)
 
 
 def test_worst_disturbance_by_going_back(benchmark):
     _, found = setting()
-    assert benchmark(sensitivity, found, found.rows.at.size - 1).e0.shape == (4, 4)
+    assert benchmark(sensitivity, found, found.timeline.rows.at.size - 1).e0.shape == (4, 4)

@@ -7,7 +7,7 @@ import pytest
 
 from sampling_design import MovingHorizonEstimator
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
-from sampling_design.validation.error_map import build_error_map
+from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from tests.cases import few
@@ -28,7 +28,7 @@ def built(name, duration, **options):
     noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
     mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)
     line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon, mhe.begins)
-    return plant, bounds, mhe, line, build_error_map(line, mhe, bounds)
+    return plant, bounds, mhe, line, ErrorMap(line, mhe, bounds)
 
 
 @pytest.mark.parametrize("name", few(PLANTS, 0))
@@ -42,7 +42,7 @@ def test_errors_are_those_of_a_plain_window_filter(name):
         y = np.where(line.masks > 0, x @ plant.C.T + inputs.v[run], np.nan)
         shape = plant.A, plant.C, plant.G, weights.prior, weights.w, weights.y, weights.eta, mhe.horizon
         expected = moving_horizon(*shape, line.times[line.samples], y) - x
-        assert np.max(np.abs(errors.e[run, found.rows.samples] - expected)) < 1e-9
+        assert np.max(np.abs(errors.e[run, found.timeline.rows.samples] - expected)) < 1e-9
 
 
 @pytest.mark.parametrize(("name", "option"), few(product(PLANTS, OPTIONS), 0, 6, 12, 3, 9))
@@ -51,8 +51,8 @@ def test_errors_and_radii_are_those_of_the_estimator(name, option):
     inputs = draw_inputs(line, bounds, np.random.SeedSequence(2).spawn(2))
     errors = found.apply(inputs)
     ratios = found.ellipsoid_ratio(errors)
-    samples = {int(b): j for j, b in enumerate(line.samples)}
-    x, rows, row = -inputs.e0[1], found.rows, 0
+    samples = line.sample_at
+    x, rows, row = -inputs.e0[1], found.timeline.rows, 0
     for b in range(line.times.size):
         if b:
             x = line.F[b - 1] @ x + line.gamma[b - 1] @ inputs.w[1, b - 1]

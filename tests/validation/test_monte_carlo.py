@@ -7,7 +7,7 @@ import pytest
 
 from sampling_design import ArgumentError, MovingHorizonEstimator
 from sampling_design.validation.apriori_bound import apriori_bound_of
-from sampling_design.validation.error_map import build_error_map
+from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.monte_carlo import BLOCK, monte_carlo, ratio
 from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.timeline import build_timeline
@@ -21,7 +21,7 @@ def setting():
     mhe = MovingHorizonEstimator(PLANT, certificate("oscillator"), **noise)
     line = build_timeline(PLANT, SCHEDULES["oscillator"], 12.0, mhe.horizon)
     apriori = apriori_bound_of(certificate("oscillator"), mhe.horizon)
-    return build_error_map(line, mhe, BOUNDS), BOUNDS, apriori, apriori.root
+    return ErrorMap(line, mhe, BOUNDS), BOUNDS, apriori, apriori.root
 
 
 def test_a_run_depends_on_its_own_seed_alone():

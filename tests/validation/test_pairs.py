@@ -25,7 +25,7 @@ def random_pairs(line, made, span, rng, count):
     plant, found = line.plant, []
     hiding = -np.linalg.solve(made.R + made.Qv, made.R @ plant.C)
     units = [np.linalg.cholesky(np.linalg.inv(M)) for M in (made.P2, made.Qw)]
-    samples = {int(b): j for j, b in enumerate(line.samples)}
+    samples = line.sample_at
     for start in rng.integers(0, np.searchsorted(line.times, line.times[-1] - span), size=8).tolist():
         stop = int(np.searchsorted(line.times, line.times[start] + span)) - 1
         chi = rng.normal(size=(count, plant.n_states)) @ units[0].T

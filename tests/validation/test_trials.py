@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
-from sampling_design.validation.error_map import build_error_map
+from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.trials import driven, extent, real_run, true_run
@@ -33,9 +33,9 @@ def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
     states = integrate(UNSTABLE.A, both, -inputs.e0[0], line.times[: head + 1], forces[:head])
     assert truth.states[: head + 1] == pytest.approx(states, abs=1e-8)
     mhe = MovingHorizonEstimator(driven(UNSTABLE), **OPTIONS)
-    found = build_error_map(line, mhe, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0))
-    run = real_run(line, found.rows, truth, mhe)
-    assert run.errors(found.rows) == pytest.approx(found.apply(inputs).e[0], abs=1e-10)
+    found = ErrorMap(line, mhe, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0))
+    run = real_run(line, truth, mhe)
+    assert run.errors == pytest.approx(found.apply(inputs).e[0], abs=1e-10)
 
 
 def test_a_calm_truth_is_left_alone():

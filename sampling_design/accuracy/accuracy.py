@@ -141,7 +141,7 @@ def guaranteed_accuracy(
     True
     """
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
-    late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names, plant.time_unit)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = align(plant, schedule)
     rows = requested_rows(plant, of)

@@ -286,7 +286,7 @@ def within_tolerance(
 ) -> AnySchedule | SamplingFamily | None:
     """Return the family of all times within a tolerance of a schedule. Raises ArgumentError if they do not fit."""
     known = plant if isinstance(plant, Plant) else None
-    late = TimingTolerance.of(timing_tolerance, None if known is None else known.outputs.names)
+    late = TimingTolerance.of(timing_tolerance, None if known is None else known.outputs.names, plant.time_unit)
     if not late:
         return schedule
     if schedule is None or isinstance(schedule, SamplingFamily):

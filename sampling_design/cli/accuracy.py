@@ -26,7 +26,7 @@ from sampling_design.cli.options import (
     TimingOption,
     listed,
     numbers,
-    timing_in_numbers,
+    timing,
 )
 from sampling_design.cli.settings import Settings, record_table
 from sampling_design.errors import ArgumentError
@@ -118,7 +118,7 @@ def accuracy(
             initial_error=bounds["initial_error"],
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
-            timing_tolerance=timing_in_numbers(times.timing_tolerance), progress=progress,
+            timing_tolerance=timing(times.timing_tolerance), progress=progress,
         )  # fmt: skip
         cast = None if pair is None else found.projection(*pair)
     _finish(settings, found, cast, wanted)

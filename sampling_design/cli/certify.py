@@ -22,7 +22,7 @@ from sampling_design.cli.options import (
     CertificateArgument,
     PlantFile,
     Rigorous,
-    timing_in_numbers,
+    timing,
 )
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
@@ -180,7 +180,7 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
             return schedule
         if kind == "lost":
             return sd.LostSamples(schedule, *families[kind])
-        found = within_tolerance(plant, schedule, timing_in_numbers(families[kind]))
+        found = within_tolerance(plant, schedule, timing(families[kind]))
         assert found is not None
         return found
     except ArgumentError as error:

@@ -18,7 +18,7 @@ from sampling_design.cli.options import (
     Scheduler,
     TimingOption,
     WorkerCount,
-    timing_in_numbers,
+    timing,
     workforce,
 )
 from sampling_design.cli.settings import Settings, record_table, table
@@ -124,7 +124,7 @@ def design(
     requirement = _required(
         settings, requirement_file, window=window, period=period, spacing=spacing, samples=samples,
         target_sigma=target_sigma, cost_limit=cost_limit,
-        timing_tolerance=None if timing_tolerance is None else timing_in_numbers(timing_tolerance),
+        timing_tolerance=None if timing_tolerance is None else timing(timing_tolerance),
     )  # fmt: skip
     with settings.progress("design") as progress:
         rng = np.random.default_rng(settings.seed)

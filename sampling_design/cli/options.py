@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
+from sampling_design.schedules.jitter import EarlyLate, Timing
+from sampling_design.schedules.sensor import duration
 
 if TYPE_CHECKING:
     from sampling_design.plants.plant import Plant
     from sampling_design.records.workers import Workers
 
-T = TypeVar("T")
 
 PlantFile = Annotated[
     Path,
@@ -105,31 +107,34 @@ def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | l
     return values if len(values) > 1 else values[0]
 
 
-def timing(text: str, time: Callable[[str], T]) -> T | list[T] | dict[str, T | list[T]]:
-    """How early or late samples may be: TIME or EARLY:LATE, or NAME=either with commas between, one for each output."""
+def timing(text: str | None) -> Timing:
+    """How early or late samples may be: TIME or EARLY:LATE, or NAME=either with commas between, one for each output.
+
+    On time where nothing was said. Raises ArgumentError if one is neither a number nor text with a unit.
+    """
+    text = text or "0"
     if not all(part.strip() for part in re.split("[,:=]", text)):
         raise ArgumentError(f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,..., got {text!r}.")
     if "=" not in text:
-        return _early_late(text, time)
+        return _early_late(text)
     named = [part.partition("=") for part in text.split(",")]
-    return {name.strip(): _early_late(value, time) for name, _, value in named}
+    return {name.strip(): _early_late(value) for name, _, value in named}
 
 
-def _early_late(text: str, time: Callable[[str], T]) -> T | list[T]:
-    values = [time(part.strip()) for part in text.split(":")]
+def _early_late(text: str) -> EarlyLate:
+    values = [number_or_text(part.strip()) for part in text.split(":")]
+    for value in values:
+        if is_text(value):
+            duration("--timing-tolerance", value, "s")
     return values if len(values) > 1 else values[0]
 
 
-def timing_in_numbers(text: str | None) -> float | list[float] | dict[str, float | list[float]]:
-    """The same in numbers without a unit; on time where nothing was said. Raises ArgumentError if one is no number."""
+def number_or_text(part: str) -> float | str:
+    """A number, or what may be text with a unit."""
     try:
-        return timing(text or "0", float)
-    except ArgumentError:
-        raise
+        return float(part)
     except ValueError:
-        raise ArgumentError(
-            f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,... in numbers, got {text!r}."
-        ) from None
+        return part
 
 
 @contextmanager

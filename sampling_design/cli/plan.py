@@ -22,11 +22,6 @@ from sampling_design.schedules.opening import WEEK
 from sampling_design.schedules.time_stamps import parse_date, zoned_date
 
 
-def _duration(text: str) -> float | str:
-    """A number, or text with a unit, such as "15 min"."""
-    return float(text) if text.replace(".", "", 1).isdecimal() else text
-
-
 def plan(
     settings: Settings,
     plant_file: Annotated[
@@ -59,7 +54,7 @@ def plan(
     """
     requirement, plant = files.plan_requirement(plant_file, requirement_file)
     if timing_tolerance is not None:
-        requirement = requirement.replace(timing_tolerance=timing(timing_tolerance, _duration))
+        requirement = requirement.replace(timing_tolerance=timing(timing_tolerance))
     other = None if compare is None else files.plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design.cli.options import listed
+from sampling_design.cli.options import listed, number_or_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
@@ -63,18 +63,11 @@ class RequirementFlags:
 def positive_times(flag: str, text: str, unit: str) -> list[float]:
     """Positive times in `unit` with commas between, each a number or one with a unit of its own."""
     try:
-        return [duration(flag, _number_or_text(part), unit) for part in text.split(",") if part.strip()]
+        return [duration(flag, number_or_text(part), unit) for part in text.split(",") if part.strip()]
     except ArgumentError:
         raise ArgumentError(
             f'`{flag}` must be positive numbers of {unit}, or times like "3 d", with commas between, got {text!r:.40}.'
         ) from None
-
-
-def _number_or_text(part: str) -> float | str:
-    try:
-        return float(part)
-    except ValueError:
-        return part
 
 
 def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str]) -> dict[str, float]:

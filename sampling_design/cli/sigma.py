@@ -16,7 +16,7 @@ from sampling_design.cli.options import (
     ScheduleFile,
     TimingOption,
     Window,
-    timing_in_numbers,
+    timing,
 )
 from sampling_design.cli.settings import Settings
 from sampling_design.observability.count.zero_count import default_window
@@ -56,7 +56,7 @@ def sigma(
     with settings.progress("sigma") as progress:
         result = sd.window_sigma(
             split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous,
-            timing_tolerance=timing_in_numbers(timing_tolerance),
+            timing_tolerance=timing(timing_tolerance),
         )  # fmt: skip
     _end_bracket(settings, result, split, "sigma")
 
@@ -84,7 +84,7 @@ def worst_case(
     with settings.progress("worst case") as progress:
         result = sd.worst_case_sigma(
             split.retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous,
-            timing_tolerance=timing_in_numbers(timing_tolerance),
+            timing_tolerance=timing(timing_tolerance),
         )  # fmt: skip
     _end_bracket(settings, result, split, "worst_case")
 

@@ -17,11 +17,15 @@ const STYLE = `
 .sd .stale { opacity: 0.3; } .sd svg:empty { display: none; }
 .sd .hint { color: #595959; font-size: 13px; }`;
 
-/* Four digits, of large numbers all before the point: a day of 86400 s has its samples at whole seconds. */
-function short(x) {
+/* Four digits, of large numbers all before the point: a day of 86400 s has its samples at whole seconds.
+   Of a bound, `up` says which way: an upper one is rounded up (true), a lower one down (false). */
+function short(x, up) {
   if (x === null || x === undefined) return "–";
   const digits = Math.min(Math.max(4, Math.ceil(Math.log10(Math.abs(x) + 1))), 15);
-  return Number.isFinite(x) ? String(Number(Number(x).toPrecision(digits))) : String(x);
+  if (!Number.isFinite(x) || x === 0) return String(x);
+  const nearest = Number(Number(x).toPrecision(digits)), unit = 10 ** (Math.floor(Math.log10(Math.abs(x))) + 1 - digits);
+  const away = up === undefined ? 0 : Math.sign(x - nearest);
+  return String(Number((nearest + (away === (up ? 1 : -1) ? away * unit : 0)).toPrecision(digits)));
 }
 
 function node(kind, attributes, parent, text) {
@@ -235,12 +239,12 @@ export async function mount(element, ask) {
       const lines = [[answer.left.late, "7 3 2 3", "late or early"], [answer.left.lost, "2 3", "one lost"]];
       for (const [value, dash, words] of lines.filter(([value]) => value !== null)) {
         const line = node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(value), y2: y(value), stroke: COLOUR.proven, "stroke-dasharray": dash, class: "left" }, chart);
-        node("title", {}, line, `${words}: sigma ≥ ${short(value)}`);
+        node("title", {}, line, `${words}: sigma ≥ ${short(value, false)}`);
       }
     }
     node("circle", { cx: x(Math.min(Math.max(answer.worst, from), to)), cy: y(answer.upper), r: 5, fill: "#fff", stroke: COLOUR.attained, "stroke-width": 2 }, chart);
     timeTicks(chart, from, to, x, CHART + 26);
-    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${clock(opened.window)}${answer.late ? `, samples ${answer.late}` : ""}: sigma ≥ ${short(answer.lower)}`);
+    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${clock(opened.window)}${answer.late ? `, samples ${answer.late}` : ""}: sigma ≥ ${short(answer.lower, false)}`);
     node("text", { x: WIDE - RIGHT, y: CHART + (narrow ? 60 : 44), "text-anchor": "end", class: "soft" }, chart, `end of the window [${unit}]`);
   }
 
@@ -263,7 +267,7 @@ export async function mount(element, ask) {
     });
     opened.states.forEach((state, k) => {
       const y0 = 20 + k * (one + 26), upper = answer.upper[k];
-      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: guaranteed within ${short(answer.worst[k])}` : `${state}: no bound holds at all times`);
+      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: guaranteed within ${short(answer.worst[k], true)}` : `${state}: no bound holds at all times`);
       if (!upper) return;
       const wanted = opened.tolerance ? opened.tolerance[k] : 0, top = 1.15 * Math.max(...upper, wanted);
       const y = (s) => y0 + one - (one * s) / top;

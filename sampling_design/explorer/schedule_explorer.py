@@ -29,7 +29,7 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.declarations import below, plain
+from sampling_design.records.declarations import above, below, plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.records.units import readable_unit
@@ -279,7 +279,7 @@ class ScheduleExplorer:
 
     def _kept(self, tolerance: Plain, schedule: PeriodicSchedule) -> Timing:
         """A tolerance as long as samples keep their order with it, else none."""
-        late = TimingTolerance.of(tolerance, self.plant.outputs.names)
+        late = TimingTolerance.of(tolerance, self.plant.outputs.names, self.plant.time_unit)
         return (late if late.span < min(schedule.gaps.min(), self.window) else ON_TIME).plain
 
     def _rules(self) -> list[Plain]:
@@ -385,7 +385,7 @@ class ScheduleExplorer:
             over = row > wanted
             if not over.any() or not np.all(np.isfinite(row)):
                 continue
-            text = f"{label}: {short(float(row.max()), 3)} is guaranteed, {short(wanted, 3)} wanted; "
+            text = f"{label}: {above(float(row.max()), 3)} is guaranteed, {short(wanted, 3)} wanted; "
             if over.all():
                 messages.append(f"{text}at no time is it kept.")
                 continue

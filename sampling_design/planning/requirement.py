@@ -15,11 +15,10 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen, plain
 from sampling_design.records.record import PlainRecord, WrittenRecord, counted, short
 from sampling_design.records.units import check_time_unit
-from sampling_design.schedules.jitter import TimingTolerance
+from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.opening import OpeningCalendar
 from sampling_design.schedules.sensor import Duration, Sensor, duration
 
-PlanTiming: TypeAlias = Duration | Sequence[Duration] | Mapping[str, Duration | Sequence[Duration]]
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
 
 FORMAT = "sampling-design/plan-requirement/1"
@@ -157,7 +156,7 @@ class PlanRequirement(WrittenRecord):
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
     initial_error: InitialError = None
-    timing_tolerance: PlanTiming | None = None
+    timing_tolerance: Timing | None = None
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -195,11 +194,7 @@ class PlanRequirement(WrittenRecord):
         ArgumentError
             If a time is neither a number nor text with a unit, or negative, or an output is unknown.
         """
-
-        def time(name: str, value: object) -> float:
-            return duration(name, value, unit) if is_text(value) else checks.nonnegative(name, value)
-
-        return TimingTolerance.of(self.timing_tolerance, outputs, time)
+        return TimingTolerance.of(self.timing_tolerance, outputs, unit)
 
     def replace(self, **changes: object) -> PlanRequirement:
         """Return a copy with some entries changed.

@@ -10,7 +10,7 @@ from typing import Self, TypeAlias, Unpack
 
 import numpy as np
 
-from sampling_design.checkers.strict import is_table
+from sampling_design.checkers.strict import is_table, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -36,13 +36,14 @@ from sampling_design.schedules.family import (
 )
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
+from sampling_design.schedules.sensor import Duration, duration
 
 DEVIATION_CELLS = (1, 2, 4, 8)  # cells of a sample's deviation, per level of memory
 _LONGEST_LAP = 1_000_000  # samples after which the periods of two periodic schedules must have met
 
-EarlyLate: TypeAlias = float | Sequence[float]
+EarlyLate: TypeAlias = Duration | Sequence[Duration]
 Timing: TypeAlias = EarlyLate | Mapping[str, EarlyLate]
-"""How early or late samples may be: one number, a pair (early, late), or either by name of the output."""
+"""How early or late samples may be: one time, a pair (early, late), or either by output; text has a unit."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +73,19 @@ class TimingTolerance:
         cls,
         value: object,
         outputs: Sequence[str] | None = None,
-        time: Callable[[str, object], float] = checks.nonnegative,
+        unit: str | None = None,
     ) -> Self:
-        """Return the tolerance that a number, a pair, or a table of these says; what has none (None) is on time.
+        """Return the tolerance that a time, a pair, or a table of these says; what has none (None) is on time.
 
-        `outputs` are the names of the plant's, where they are known yet; `time` reads a number. Raises ArgumentError if
-        it is none of these, a number is negative, or an output is unknown.
+        `outputs` are the names of the plant's, where they are known yet, and `unit` that in which times are counted: a
+        time is then text with a unit of its own ("15 min"), too. Raises ArgumentError if it is none of these, a time is
+        negative, or an output is unknown.
         """
         name = "timing_tolerance"
+
+        def time(name: str, value: object) -> float:
+            return duration(name, value, unit) if unit and is_text(value) else checks.nonnegative(name, value)
+
         if value is None:
             return cls()
         if is_table(value):

@@ -128,7 +128,9 @@ def test_a_tolerance_is_typed_as_one_number_two_or_by_output(shell, tmp_path):
     assert (late["family"]["window"], late["timing_tolerance"]) == (4.0, [0.1, 0.05])
     refused = shell(*windows, "ten")
     assert refused.code == 2
-    assert "`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,... in numbers, got 'ten'" in refused.err
+    assert """`--timing-tolerance` must be a time like 0.25 or "15 min", got 'ten'""" in refused.err
+    with_units = json.loads(shell(*windows, "0 : 200 ms").out)
+    assert (with_units["lower"], with_units["timing_tolerance"]) == (found[1]["lower"], [0.0, 0.2])
 
 
 def test_families_exclude_each_other_and_say_what_they_need():

@@ -1,5 +1,8 @@
 """How early or late samples may be: one number, early apart from late, or each output by itself."""
 
+import functools
+import inspect
+
 import numpy as np
 import pytest
 
@@ -46,6 +49,50 @@ def test_every_real_time_lies_within_the_radius_of_the_centre(said, shift, radiu
 def test_what_is_no_tolerance_is_refused(said, words):
     with pytest.raises(ArgumentError, match=words):
         TimingTolerance.of(said)
+
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="min")
+EVERY, BOUNDS = sd.PeriodicSchedule([1.0], time_unit="min"), {"w_bound": 0.1, "v_bound": 0.1}
+CERTIFICATE = functools.cache(lambda: sd.certify(PLANT, EVERY, eta=0.4, P2=np.eye(2)))
+SAID = {
+    "window_sigma": lambda late: sd.window_sigma(PLANT, EVERY, 4.0, timing_tolerance=late).lower,
+    "worst_case_sigma": lambda late: (
+        sd.worst_case_sigma(PLANT, sd.SpacedWindows(4.0, 3, 0.5), timing_tolerance=late, rtol=0.5).timing_tolerance
+    ),
+    "guaranteed_accuracy": lambda late: (
+        sd.guaranteed_accuracy(PLANT, EVERY, timing_tolerance=late, rtol=0.5, **BOUNDS).timing_tolerance
+    ),
+    "certify": lambda late: sd.certify(PLANT, EVERY, timing_tolerance=late, eta=0.4, P2=np.eye(2)).family.to_dict(),
+    "MovingHorizonEstimator": lambda late: repr(
+        sd.MovingHorizonEstimator(PLANT, CERTIFICATE(), timing_tolerance=late, **BOUNDS)
+        .run([(1.05, [0.1]), (2.2, [0.2])])
+        .estimates[-1]
+        .on_schedule
+    ),
+    "Requirement": lambda late: sd.Requirement(window=4.0, timing_tolerance=late, time_unit="min").timing_tolerance,
+    "PlanRequirement": lambda late: (
+        sd.PlanRequirement(accuracy={"x1": 1.0}, timing_tolerance=late, time_unit="min").early_or_late("min").plain
+    ),
+}
+
+
+def test_every_name_of_the_front_door_that_takes_one_is_judged_below():
+    takes = {name for name in dir(sd) if "timing_tolerance" in parameters(getattr(sd, name))}
+    assert takes - {"Jitter"} == set(SAID)  # a family holds the number that its file says
+
+
+def parameters(thing):
+    try:
+        return inspect.signature(thing).parameters
+    except (TypeError, ValueError):
+        return ()
+
+
+@pytest.mark.parametrize("verb", SAID)
+def test_text_with_a_unit_says_what_a_number_does_everywhere(verb):
+    assert SAID[verb]("6 s") == SAID[verb](0.1)
+    with pytest.raises(ArgumentError, match=r"`timing_tolerance` must be a time like 0\.25 or .15 min., got 'soon'"):
+        SAID[verb]("soon")
 
 
 def test_families_are_about_the_centre():

@@ -124,7 +124,7 @@ class Requirement(WrittenRecord):
         self._check(**dict.fromkeys(("window", "period", "spacing"), self._length))
         self._check(**dict.fromkeys(("target_sigma", "cost_limit"), checks.positive), decay_rate=checks.nonnegative)
         if self.timing_tolerance is not None:
-            own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance).plain
+            own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance, unit=self.time_unit).plain
         own["samples"] = _counts(self.samples)
         own["forbidden"] = intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)

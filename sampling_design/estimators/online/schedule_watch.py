@@ -206,7 +206,7 @@ class ScheduleClaim:
         schedule_zero: float = 0.0,
     ):
         self.note = note
-        late = TimingTolerance.of(timing_tolerance)
+        late = TimingTolerance.of(timing_tolerance, unit=time_unit)
         late.require_together("a claim for a schedule")
         tolerance, zero = late.radius, checks.number("schedule_zero", schedule_zero) + late.shift
         apart = schedule.by_output if isinstance(schedule, SamplingFamily) else ()

@@ -221,7 +221,7 @@ def window_sigma(
     """
     plant = part_for(plant, of, window)
     aligned = align(plant, schedule)
-    late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names, plant.time_unit)
     if late:
         late.require_order(SamplingSet(aligned).min_gap)
         if rigorous:

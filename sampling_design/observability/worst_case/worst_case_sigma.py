@@ -295,7 +295,7 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names, plant.time_unit)
     late.require_order(family.spacing)
     plant = part_for(plant, of, family.window + late.span)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)

@@ -276,6 +276,6 @@ def refuse_others(where: str, **others: object) -> None:
         The first of them that is not None, or that is a `timing_tolerance` other than 0.
     """
     for name, value in others.items():
-        on_time = name == "timing_tolerance" and not TimingTolerance.of(value)
+        on_time = name == "timing_tolerance" and not TimingTolerance.of(value, unit="s")
         if value is not None and not on_time:
             raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")

@@ -146,7 +146,7 @@ def worst_case_over_box(
     timing_tolerance: Timing = 0.0,
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
-    late = TimingTolerance.of(timing_tolerance, plant.nominal.outputs.names)
+    late = TimingTolerance.of(timing_tolerance, plant.nominal.outputs.names, plant.time_unit)
     late.require_order(family.spacing)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")

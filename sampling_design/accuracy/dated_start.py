@@ -254,7 +254,10 @@ def _program(apart: Readings, censored: Sequence[_Reading], added: Array) -> Rec
     """The program of trajectories that read zero within the sizes and what is added to them."""
     rows: dict[float, tuple[RowReading, ...]] = {apart.begin: ()}
     for each, more in zip(censored, added.tolist(), strict=True):
-        rows[each.t] = (*rows.get(each.t, ()), RowReading(apart.plant.C[each.output], 0.0, each.size + more))
+        rows[each.t] = (
+            *rows.get(each.t, ()),
+            RowReading(apart.plant.C[each.output], 0.0, each.size + more, output=each.output),
+        )
     return RecordProgram(apart.reading(sorted(rows.items())))
 
 

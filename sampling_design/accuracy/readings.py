@@ -36,7 +36,7 @@ Row = TypeVar("Row")
 class RowReading(NamedTuple):
     """Something read at a time: |H x - y| <= size, one-sided H x <= y + size where `below`.
 
-    `since`: a mean of H x from that time on.
+    `since`: a mean of H x from that time on. `output`: whose reading it is, where that is known: rows may be alike.
     """
 
     H: Array
@@ -44,6 +44,7 @@ class RowReading(NamedTuple):
     size: float
     below: bool = False
     since: float | None = None
+    output: int | None = None
 
 
 class UncertainTime(NamedTuple):
@@ -201,9 +202,9 @@ def censored_rows(
     fed += centre
     H = plant.C[i]
     if found.lower == found.upper and found.since is not None:
-        return (RowReading(H, found.lower - fed, size, since=found.since),)
+        return (RowReading(H, found.lower - fed, size, since=found.since, output=i),)
     ends = ((H, found.upper - fed), (-H, fed - found.lower))
-    return tuple(RowReading(row, y, size, True, found.since) for row, y in ends if np.isfinite(y))
+    return tuple(RowReading(row, y, size, True, found.since, i) for row, y in ends if np.isfinite(y))
 
 
 def input_at(inputs: Sequence[tuple[float, Array]], t: float, count: int, before: bool = False) -> Array:

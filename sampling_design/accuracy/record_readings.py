@@ -124,7 +124,7 @@ def _one_by_one(
     for item, size, middle in zip(samples, *noise, strict=True):
         values = item.y - middle
         measured = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
-        own = [RowReading(plant.C[i], values[i], size[i]) for i in measured]
+        own = [RowReading(plant.C[i], values[i], size[i], output=int(i)) for i in measured]
         known = partial(_known, unread, rows, item.t)
         censored = resolved(unread, item.t, item.censored, known, before, waiting)
         u = input_at(inputs, item.t, plant.n_inputs, before)

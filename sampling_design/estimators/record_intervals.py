@@ -17,6 +17,7 @@ from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
+from sampling_design.estimators.online.evidence import output_of
 from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
@@ -110,9 +111,8 @@ class _OutlierEvidence:
         )
         if found.disproof is not None and self.contradiction is None:
             at = int(found.disproof.strongest[0])
-            rows = found.disproof.readings.rows[at]
-            output = int(np.argmax(np.abs(self.plant.C @ rows[0].H))) if rows else 0
-            when, name = float(found.disproof.readings.times[at]), self.plant.outputs.names[output]
+            name = self.plant.outputs.names[output_of(found.disproof, at)]
+            when = float(found.disproof.readings.times[at])
             self.contradiction = Contradiction(self.samples, when, name, found.contradiction, alone=False)
         return found
 

@@ -64,7 +64,8 @@ class NextChoices:
 
     def _listed(self, sensor: int | None) -> list[Option]:
         problem, step = self.plan.problem, self.plan.problem.step
-        spaced = float(self.history.times[-1]) + (problem.spacing - 1) * step  # the first may be a step later
+        read = self.history.times[self.history.measured.any(axis=1)]  # the plan's start alone is no sample
+        spaced = float(np.max(read, initial=-np.inf)) + (problem.spacing - 1) * step  # the first may be a step later
         first = int(np.floor(float(self.clock.clock_time(max(self.now, spaced))) / step + 1e-6)) + 1
         found = []
         for i, t in enumerate(self.clock.elapsed(np.arange(first, first + problem.steps) * step).tolist(), first):

@@ -203,7 +203,7 @@ def too_soon(problem: PlanProblem, times: Array, measured: Mask, taken: int = 0)
     """Which samples at real times (K,) come sooner after those before them, of all or of a sensor, than spacings allow.
 
     Where clocks are put forward less time passes than they show. What comes too soon is not taken, but for the first
-    `taken`, which were.
+    `taken`, which were. A time at which nothing is read keeps none away.
     """
     found, last, read = np.zeros(times.size, dtype=bool), -np.inf, np.full(measured.shape[1], -np.inf)
     if max(problem.spacing, int(problem.sensor_spacing.max())) <= 1:
@@ -211,14 +211,14 @@ def too_soon(problem: PlanProblem, times: Array, measured: Mask, taken: int = 0)
     least, apart = ((np.asarray(s) - WHOLE) * problem.step for s in (problem.spacing, problem.sensor_spacing))
     for k, t in enumerate(times.tolist()):
         found[k] = k >= taken and (t - last < least or bool(np.any(t - read[measured[k]] < apart[measured[k]])))
-        if not found[k]:
+        if not found[k] and measured[k].any():
             last, read[measured[k]] = t, t
     return found
 
 
 def is_apart(problem: PlanProblem, times: Array, measured: Mask, t: float, mask: Mask) -> bool:
-    """Whether a sample at a real time t keeps the spacings to all those at real times (K,)."""
-    off = np.abs(times - t)
+    """Whether a sample at a real time t keeps the spacings to all those at real times (K,) that read something."""
+    off = np.where(measured.any(axis=1), np.abs(times - t), np.inf)
     shared = np.where(measured & mask, off[:, None], np.inf).min(axis=0, initial=np.inf)
     least = np.min(off, initial=np.inf) >= (problem.spacing - WHOLE) * problem.step
     return bool(least and np.all(shared >= (problem.sensor_spacing - WHOLE) * problem.step))

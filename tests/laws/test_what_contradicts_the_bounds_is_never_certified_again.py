@@ -10,6 +10,7 @@ import sampling_design as sd
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.curve import estimate_curve
 from sampling_design.estimators.online.history import DEEPEST, SampleBranch
+from sampling_design.estimators.record_intervals import estimates_despite_outliers
 from tests.cases import few, scale_weights
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
@@ -21,9 +22,13 @@ FAR = [(1.0, [1.0]), (2.0, [90.0]), *((2.0 + 0.5 * k, [1.0]) for k in range(1, 4
 """The second one does for any proof."""
 
 MAKERS = {
-    "moving horizon": lambda: sd.MovingHorizonEstimator(WALK, horizon=6.0, cost=sd.CostFunction(eta=0.2), **BOUNDS),
-    "filter": lambda: sd.KalmanFilter(WALK, cost=sd.CostFunction(eta=0.2), maximum_delay=3.0, **BOUNDS),
-    "set": lambda: sd.SetMembershipEstimator(WALK, maximum_delay=3.0, **BOUNDS),
+    "moving horizon": lambda plant=WALK, bounds=BOUNDS: sd.MovingHorizonEstimator(
+        plant, horizon=6.0, cost=sd.CostFunction(eta=0.2), **bounds
+    ),
+    "filter": lambda plant=WALK, bounds=BOUNDS: sd.KalmanFilter(
+        plant, cost=sd.CostFunction(eta=0.2), maximum_delay=3.0, **bounds
+    ),
+    "set": lambda plant=WALK, bounds=BOUNDS: sd.SetMembershipEstimator(plant, maximum_delay=3.0, **bounds),
 }
 
 
@@ -184,3 +189,28 @@ def test_without_the_sample_that_a_contradiction_names_everything_stands_again(m
     assert stands(corrected.correct(named.t, [1.0 if rows is FAR else 0.6]))
     assert not stands(other.update(first[-1][0] + 0.1, [first[-1][1][0]]))
     assert other.state.last.number == len(first) + 1
+
+
+@pytest.mark.parametrize("wild", range(3))
+@pytest.mark.parametrize("maker", MAKERS)
+def test_the_sensor_that_is_named_is_the_one_that_contradicts(maker, wild):
+    """Of sensors that read the same, one of them in other units, the wild one alone was read, and is named."""
+    plant = sd.Plant([[0.0]], [[1.0], [1.0], [10.0]], outputs=["gauge", "lab", "other unit"])
+    estimator = MAKERS[maker](plant, {**BOUNDS, "v_bound": [0.2, 0.2, 2.0]})
+    for t, level in ((1.0, 1.0), (3.0, 0.5), (4.2, 1.1)):  # no ellipsoid sees what the interval proves
+        y = np.full(3, np.nan)
+        y[wild] = plant.C[wild, 0] * level
+        estimate = estimator.update(t, y)
+    assert not stands(estimate)
+    assert estimate.contradiction.output == plant.outputs.names[wild]
+
+
+def test_where_outliers_leave_no_case_the_sensor_is_named_too():
+    """One of these samples may be an outlier, and any three of them contradict each other."""
+    plant = sd.Plant([[0.0]], [[10.0], [1.0]], outputs=["other unit", "gauge"])
+    given = {"w_bound": 0.1, "v_bound": [2.0, 0.2], "initial_error": 50.0}
+    estimator = sd.MovingHorizonEstimator(plant, horizon=6.0, cost=sd.CostFunction(eta=0.2), **given)
+    record = sd.Measurements(plant, [1.0, 2.0, 3.0, 4.0], [[np.nan, level] for level in (0.0, 4.0, 8.0, 12.0)])
+    (*_, last), *_ = estimates_despite_outliers(estimator, record, given, 1)
+    assert not stands(last)
+    assert last.contradiction.output == "gauge"

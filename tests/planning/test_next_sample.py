@@ -260,3 +260,18 @@ def test_within_a_budget_the_latest_sample_that_is_proven_by_then_is_the_answer(
     assert latest[1][0] <= latest[2][0]
     with pytest.raises(ArgumentError, match=r"`budget` must be positive, got 0\.0"):
         sd.next_sample(week, now=0.0, budget=0.0)
+
+
+@pytest.mark.parametrize("known", [None, 40.0])
+def test_the_start_of_a_plan_is_no_sample_that_keeps_its_first_one_away(known):
+    """For x' = w nothing is within the tolerance before the first sample, an hour after the start, and all is then."""
+    sensors = {"y": {"noise_bound": 0.1}}
+    wanted = sd.PlanRequirement(
+        {"level": 0.6}, grid=1.0, period=24.0, spacing=8.0, w_bound=0.01, sensors=sensors, initial_error=known
+    )
+    problem = pose_plan(sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"], time_unit="h"), wanted)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[1] = True
+    found = sd.next_sample(proven_plan(problem, chosen, PlanBound((), None, None), "budget"), now=0.0)
+    assert (found.latest, found.kept_from) == (1.0, 1.0)
+    assert found.proven

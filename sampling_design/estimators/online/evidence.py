@@ -63,6 +63,13 @@ class EstimateAssumptions:
         return found
 
 
+def output_of(found: Disproof, k: int) -> int:
+    """Which output contradicts most among the readings at a place of a disproof; the first where none was read."""
+    first, rows = int(found.readings.offsets[k]), found.readings.rows[k]
+    shares = np.abs(found.gains["all"][first : first + len(rows)]) * [row.size for row in rows]
+    return (rows[int(np.argmax(shares))].output or 0) if rows else 0
+
+
 class EstimateEvidence:
     """The nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
 
@@ -109,11 +116,8 @@ class EstimateEvidence:
         suspects = [k for k in found.strongest.tolist() if numbers.get(float(readings.times[k])) and readings.rows[k]]
 
         def named(k: int, factor: float, alone: bool) -> Contradiction:
-            first, rows = int(readings.offsets[k]), readings.rows[k]
-            j = int(np.argmax(np.abs(found.gains["all"][first : first + len(rows)]) * [row.size for row in rows]))
-            output = int(np.argmax(np.abs(self.assumed.plant.C @ rows[j].H)))
             t = float(readings.times[k])
-            return Contradiction(numbers[t], t, names[output], factor, alone)
+            return Contradiction(numbers[t], t, names[output_of(found, k)], factor, alone)
 
         for k in suspects[:SUSPECTS]:
             if self._agrees(readings, k, np.inf):
@@ -172,7 +176,7 @@ class EstimateEvidence:
     def _rows(self, node: HistoryNode) -> tuple[RowReading, ...]:
         C, noise, sizes = self.assumed.plant.C, self.assumed.noise, self.assumed.noise.half_widths
         y = node.y - node.feedthrough - noise.centre
-        rows = [RowReading(C[i], float(y[i]), float(sizes[i])) for i in np.flatnonzero(node.mask)]
+        rows = [RowReading(C[i], float(y[i]), float(sizes[i]), output=int(i)) for i in np.flatnonzero(node.mask)]
         first = self.nodes[-(REMEMBERED + 1) :][0].t
         for each in node.sample.censored:
             if each.since is None or each.since >= first:

@@ -5,6 +5,7 @@ Only what Python itself has loaded is imported here, so that an interrupt while 
 
 from __future__ import annotations
 
+import atexit
 import codecs
 import io
 import os
@@ -41,15 +42,25 @@ class _InterruptHandler:
         sys.__unraisablehook__(found)
 
     def close(self) -> None:
-        """Give back what was there before; after an interrupt a second one must not show Python's way out."""
+        """Give back what was there before; after an interrupt a second one must not show Python's way out.
+
+        Nor must one that comes on that way: the work is done, and the exit code says of it what it is.
+        """
         handler, sys.unraisablehook = self.before
         signal.signal(signal.SIGINT, signal.SIG_IGN if self.rung else handler)
+        if handler is signal.default_int_handler:
+            atexit.unregister(_ignore_interrupts)
+            atexit.register(_ignore_interrupts)  # the last that is registered is the first that is called
 
     @staticmethod
     def end() -> NoReturn:
         """Leave at once: what still runs (threads, half-loaded libraries) has nothing to say any more."""
         _say("interrupted.")
         os._exit(INTERRUPTED)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def main() -> None:

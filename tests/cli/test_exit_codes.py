@@ -102,6 +102,14 @@ def test_an_error_of_a_library_that_an_interrupt_caused_is_the_interrupt(shell, 
     assert result.err == "sampling-design: interrupted.\n"
 
 
+def test_an_interrupt_after_the_work_is_done_changes_nothing_of_it():
+    """Whatever Python still does on its way out."""
+    late = "import atexit, os, signal; atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))"
+    command = f"{late}\nimport sys; from sampling_design.cli import main; sys.argv[1:] = ['--version']; main()"
+    found = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
 def test_after_a_command_the_interrupt_is_as_it_was(shell):
     before = (signal.getsignal(signal.SIGINT), sys.unraisablehook)
     shell("--version")

@@ -196,6 +196,8 @@ def _pair(text: str) -> tuple[str, str] | None:
 def _wanted(value: float | list[float] | None, rows: int) -> list[float] | None:
     """A tolerance for each row."""
     each = [] if value is None else np.ravel(value).tolist()
+    if not all(one > 0 for one in each):
+        raise ArgumentError(f"`--tolerance` must be positive, got {value!r}.")
     if len(each) > 1 and len(each) != rows:
         raise ArgumentError(f"`--tolerance` must be one number or one for each of {rows} rows, got {len(each)}.")
     return None if value is None else (each * rows)[:rows]

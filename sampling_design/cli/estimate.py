@@ -72,7 +72,7 @@ def estimate(
         files.check_origins(record, schedule)
     if not record.measured.any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
-    record = record.in_order() if how.leave_out is None else record.without(*_numbered(how.leave_out))
+    record = record.in_order() if how.leave_out is None else _without(record, how.leave_out)
     certificate = None if certificate_file is None else files.sampling_certificate(certificate_file, plant)
     first = numbers("--prior", prior, plant.states.names)
     with settings.progress("certificate") as progress:
@@ -134,9 +134,11 @@ def or_scales(plant: sd.Plant, bounds: ErrorBoundArguments) -> ErrorBoundArgumen
     )
 
 
-def _numbered(text: str) -> list[int]:
-    """Numbers of samples as typed."""
+def _without(record: sd.Measurements, text: str) -> sd.Measurements:
+    """The record without the samples whose numbers were typed."""
     try:
-        return [int(word) for word in text.split(",")]
+        return record.without(*(int(word) for word in text.split(",")))
+    except ArgumentError as error:
+        raise ArgumentError(str(error).replace("`numbers`", "`--leave-out`")) from None
     except ValueError:
         raise ArgumentError(f"`--leave-out` must hold numbers of samples, 3 or 3,17, got {text!r}.") from None

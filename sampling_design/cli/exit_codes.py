@@ -118,6 +118,7 @@ def _ending(error: BaseException) -> int:
     match error:
         case KeyboardInterrupt():  # before anything is imported: numpy, left in the middle, does not load again
             _say("interrupted.")
+            exec("")  # Python remembers one that left an `exec`, as in namedtuple, and would end by the signal itself
             return INTERRUPTED
     from sampling_design.errors import SamplingDesignError
 

@@ -118,7 +118,10 @@ def timing(text: str | None) -> Timing:
     if "=" not in text:
         return _early_late(text)
     named = [part.partition("=") for part in text.split(",")]
-    return {name.strip(): _early_late(value) for name, _, value in named}
+    found = {name.strip(): _early_late(value) for name, _, value in named}
+    if len(found) < len(named):
+        raise ArgumentError(f"`--timing-tolerance` names an output twice, got {text!r}.")
+    return found
 
 
 def _early_late(text: str) -> EarlyLate:

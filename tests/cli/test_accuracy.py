@@ -3,10 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli.accuracy import TimeOptions, _finish_counts, _schedule
+from sampling_design.cli.accuracy import TimeOptions, _finish_counts, _schedule, _wanted
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.records.record import above
@@ -72,6 +73,10 @@ def test_tolerance_deviation_and_projection(shell, schedule, tmp_path):
     )
     assert three.code == 2
     assert "`--tolerance` must be one number or one for each of 2 rows" in three.err
+    for wanted in (-1.0, [1.0, 0.0], np.nan):
+        with pytest.raises(ArgumentError, match="`--tolerance` must be positive, got"):
+            _wanted(wanted, 2)
+    assert _wanted(np.inf, 2) == [np.inf, np.inf]
 
 
 DECAYING = sd.Plant([[-0.05]], [[1.0]], time_unit="h", states=["level"])

@@ -379,6 +379,8 @@ def test_a_sample_that_contradicts_the_bounds_is_left_out_by_its_number(tmp_path
     assert len(json.loads(mended.out)["times"]) == len(TIMES)
     refused = shell("estimate", OSCILLATOR, path, *bounds, "--leave-out", "4;5")
     assert "`--leave-out` must hold numbers of samples, 3 or 3,17, got '4;5'" in refused.err
+    refused = shell("estimate", OSCILLATOR, path, *bounds, "--leave-out", "999")
+    assert "`--leave-out` must be of the" in refused.err
 
 
 def test_a_folder_names_the_file_in_it(shell, schedule):

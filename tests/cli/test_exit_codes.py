@@ -102,6 +102,14 @@ def test_an_error_of_a_library_that_an_interrupt_caused_is_the_interrupt(shell, 
     assert result.err == "sampling-design: interrupted.\n"
 
 
+def test_an_interrupt_of_code_that_is_made_while_it_runs_is_130():
+    """Of a named tuple, as they are made while the package loads."""
+    made = "exec('import os; os.kill(os.getpid(), 2); [0 for _ in range(10**6)]')"
+    command = f"from sampling_design.cli import exit_codes\nexit_codes._run = lambda: {made}\nexit_codes.main()"
+    found = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (130, "sampling-design: interrupted.\n")
+
+
 def test_an_interrupt_after_the_work_is_done_changes_nothing_of_it():
     """Whatever Python still does on its way out."""
     late = "import atexit, os, signal; atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))"

@@ -11,6 +11,7 @@ import sampling_design as sd
 from sampling_design.cli import files
 from sampling_design.cli.app import COMMANDS, function_of, loaded
 from sampling_design.cli.design import _counts, design
+from sampling_design.cli.options import timing
 from sampling_design.cli.settings import Settings, with_common_flags
 from sampling_design.design import write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -128,6 +129,11 @@ def test_a_half_written_tolerance_is_named_as_it_was_typed(shell, text):
     assert result.code == 2
     said = f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,..., got {text!r}."
     assert result.err == f"sampling-design: {said}\n"
+
+
+def test_a_tolerance_that_an_output_has_twice_is_none():
+    with pytest.raises(ArgumentError, match="`--timing-tolerance` names an output twice, got 'y=1,x=2,y=3'"):
+        timing("y=1,x=2,y=3")
 
 
 @pytest.mark.parametrize(

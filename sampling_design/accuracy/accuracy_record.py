@@ -215,7 +215,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return below and proven_above(system, self.rows.matrix, self.upper, self.proof)
 
     def _upper_holds(self, asked: AccuracyQuestion, known: DetectablePart) -> bool:
-        lost = np.array([known.touches(row) for row in self.rows.matrix])
+        lost = np.array([known.touches(row) for row in self.rows.matrix], dtype=bool)
         if not np.all(np.isinf(self.upper[lost])):
             return False
         if lost.all():
@@ -254,7 +254,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         """How far apart both sides are."""
         known = np.isfinite(self.upper)
         if not known.any():
-            return "no bound holds at all times"
+            return "no bound holds at all times" if known.size else "no row was asked for"
         low, up = self.lower[known], self.upper[known]
         width = float(np.max(np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0))) - 1
         return f"brackets within {above(100 * width, 2)} %" if np.isfinite(width) else "0: nothing was attained"
@@ -319,7 +319,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
         text = f"No error bound of {', '.join(lost)} holds at all times: {self._why()}. " if lost else ""
         if not parts:
-            return text.strip()
+            return text.strip() or "No row was asked for."
         low = self.lower[known]
         late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
         when = "At all times"

@@ -192,12 +192,13 @@ class ConeWindow:
             z, w = np.zeros((K, n)), []
             z[0] = self._first(point.z[0])
             for k, j in enumerate(self.nodes[:-1]):
-                gap, q, u = system.gap(j), system.G.shape[1], point.u[k].reshape(-1, system.G.shape[1])
+                gap = system.gap(j)
+                u = point.u[k].reshape(len(gap.cells), system.G.shape[1])
                 z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
                 if corrected:
                     flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
                     extra = np.linalg.lstsq(flat, point.z[k + 1] - z[k + 1], rcond=1e-9)[0]
-                    u = u + extra.reshape(-1, q)
+                    u = u + extra.reshape(u.shape)
                     z[k + 1] += flat @ extra
                 w.append(u)
             factor = self._excess(z, w)

@@ -172,19 +172,19 @@ def deviations(
     ends = (None, None) if schedule.endless else (float(question.nodes[0]), question.end)
     question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
     known = question.known()
-    curves = _Curves(question, known.plant, W, known.moving)
+    safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
+    curves = _Curves(question, known.plant, W, known.moving) if safe else None
     lengths = np.diff(question.nodes, append=question.end)
     offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
     profile = np.full((len(rows), times.size), np.inf)
     worst, worst_at, mean = np.full(len(rows), np.inf), np.full(len(rows), times[0]), np.full(len(rows), np.inf)
-    for k, row in enumerate(rows.matrix):
-        if known.touches(row):
-            continue
-        parts = [curves.variance(j, d, row @ known.lift) for j, d in enumerate(offsets)]
+    for k in safe if curves is not None else ():
+        row = rows.matrix[k] @ known.lift
+        parts = [curves.variance(j, d, row) for j, d in enumerate(offsets)]
         profile[k] = np.sqrt(np.concatenate(parts))
         if np.isfinite(profile[k]).any():
-            worst[k], worst_at[k] = curves.worst(parts, offsets, row @ known.lift)
+            worst[k], worst_at[k] = curves.worst(parts, offsets, row)
             mean[k] = _mean(parts, offsets)
     return StandardDeviation(
         plant, schedule, rows, freeze(worst), freeze(worst_at), freeze(mean), freeze(times), freeze(profile)

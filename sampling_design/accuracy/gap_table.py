@@ -97,7 +97,8 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
     Of what neither does: what is seen of it in later periods, or what others bring into it.
     """
     n = F.shape[1]
-    flow, observed, later, covariance = np.eye(n), np.zeros(n), np.zeros(n), np.zeros((n, n))
+    flow, covariance = np.eye(n), np.zeros((n, n))
+    observed, later, reach = np.zeros((3, n))
     for period in range(n):
         for H, step, reached in zip(rows, F, W, strict=True):
             energy = np.sum((H @ flow) ** 2, axis=0)

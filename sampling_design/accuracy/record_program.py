@@ -112,7 +112,7 @@ class RecordProgram:
         self.table = table
         self.gaps = table.get(lengths.tolist())
         n = len(table.D)
-        self.F = np.array([gap.F for gap in self.gaps]).reshape(-1, n, n)
+        self.F = np.array([gap.F for gap in self.gaps]).reshape(len(self.gaps), n, n)
         if readings.kept is not None:
             self.F = self.F * readings.kept[:-1, None, :]
         self.H = readings.H * table.D

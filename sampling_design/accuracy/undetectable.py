@@ -47,6 +47,9 @@ class DetectablePart:
 
 def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) -> DetectablePart:
     """Return what an endless schedule lets anybody know of a plant."""
+    everything = DetectablePart(plant, np.eye(plant.n_states), np.zeros((plant.n_states, 0)), ())
+    if not plant.n_states:
+        return everything
     d = _scales(plant, period)
     A, C = plant.A * d / d[:, None], plant.C * d
     size = np.linalg.norm(C, axis=1, keepdims=True)
@@ -61,7 +64,7 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) 
         if hidden.shape[1]:
             found.append(X @ hidden)
     if not found:
-        return DetectablePart(plant, np.eye(plant.n_states), np.zeros((plant.n_states, 0)), ())
+        return everything
     joined = np.hstack(found)
     real = np.hstack([joined.real, joined.imag])
     left, sizes, _ = np.linalg.svd(real, full_matrices=True)

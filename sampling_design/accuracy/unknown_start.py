@@ -72,14 +72,19 @@ class FreeResponses:
         sizes, output_sizes = np.abs(reached) * finite, np.where(finite, self.output_sizes, 0.0)
         output_size = output_sizes.max(axis=0, initial=0.0)
         unit = np.where(output_size > 0, output_size, 1.0)
-        if not np.any(sizes * output_size):
+        with np.errstate(over="ignore"):
+            aims = sizes * (output_size > 0) / unit
+        if not 0 < aims.max(initial=0.0) < np.inf:
             return np.zeros(row.size)
+        # shares of the largest: a solver takes 1e20 for infinite, and what is far below 1 for nothing
         found = linprog(
-            -sizes / unit,
+            -aims / aims.max(),
             A_ub=output_sizes / unit,
             b_ub=np.ones(len(output_sizes)),
             bounds=[(0.0, float(s > 0)) for s in output_size],
         )
+        if found.x is None:  # sizes too far apart for a solver: any state will do, and rest is one
+            return np.zeros(row.size)
         return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
 
     def excess(self, x: Array) -> float:

@@ -147,3 +147,40 @@ def test_the_sweep_sees_what_is_raw(monkeypatch):
     assert front_door.Call(no_such_keyword, ()).raw() == ""
     monkeypatch.setitem(front_door.public(), "broken", lambda x: [][x])
     assert "IndexError" in front_door.Call(front_door.Door("broken", {"x": 0}), ()).raw()
+
+
+OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]])
+EDGES = {
+    "no states": sd.Plant(np.zeros((0, 0)), np.zeros((1, 0))),
+    "no disturbances": sd.Plant(OSCILLATOR, [[1.0, 0.0]], G=np.zeros((2, 0))),
+    "no outputs of states that grow": sd.Plant(np.diag([0.1, 0.2]), np.zeros((1, 2))),
+}
+SCHEDULES = (sd.PeriodicSchedule([0.7, 1.6]), sd.Schedule([0.0, 1.0, 2.5]), sd.Schedule([0.5]))
+SMALL = {"w_bound": 0.1, "v_bound": 0.1}
+ASKED = {
+    "window_sigma": lambda plant, schedule: sd.window_sigma(plant, schedule, 4.0, timing_tolerance=0.1),
+    "guaranteed_accuracy": lambda plant, schedule: sd.guaranteed_accuracy(plant, schedule, rtol=0.3, **SMALL),
+    "deviations": lambda plant, schedule: sd.guaranteed_accuracy(
+        plant, schedule, rtol=0.3, w_intensity=0.1, v_deviation=0.1, **SMALL
+    ),
+    "state_interval": lambda plant, schedule: sd.state_interval(plant, [(t, [0.1]) for t in schedule.times], **SMALL),
+    "certificate_exists": lambda plant, schedule: sd.certificate_exists(plant, schedule, 0.01),
+    "loss_tolerance": sd.observability.loss_tolerance,
+    "accuracy_limit": lambda plant, schedule: sd.accuracy.accuracy_limit(plant, budget=1.0, **SMALL),
+    "KalmanFilter": lambda plant, schedule: sd.KalmanFilter(plant, **SMALL).run([(t, [0.1]) for t in schedule.times]),
+}
+
+
+@pytest.mark.parametrize("edge", EDGES)
+@pytest.mark.parametrize("verb", ASKED)
+def test_plants_at_the_edge_of_what_one_may_be_end_so_too(edge, verb):
+    for schedule in SCHEDULES:
+        try:
+            found = ASKED[verb](EDGES[edge], schedule)
+        except sd.SamplingDesignError:
+            continue
+        assert found.explain()
+        assert str(found)
+        assert found.to_dict() if hasattr(found, "to_dict") else True
+        if hasattr(found, "verify"):
+            assert found.verify()

@@ -228,7 +228,8 @@ def sigma_of_pieces(
     found = bracket_sigma(middle, pieces, rtol, seconds, progress, reached)
     result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
     if pieces.timing_tolerance:
-        return _with_tolerance(result, own, found)
+        late = pieces.timing_tolerance
+        return _with_tolerance(result, own, found) if own.n_states else replace(result, late=late)
     if rigorous:
         return _in_balls(result, own, schedule, pieces, seconds)
     if handed_over and _hidden(found) and find_spec("flint") is not None:

@@ -1,5 +1,7 @@
 """Intervals of estimates: bounds and constraints enter, nothing is wider than it was, and the proof can be checked."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -231,6 +233,25 @@ def test_programs_are_solved_once_for_radii_interval_and_middle(monkeypatch):
     walk = sd.SetMembershipEstimator(sd.Plant([[0.0]], [[1.0]]), **bounds)
     assert np.all(walk.update(0.0, [1.0]).radii > 0)
     assert len(asked) == 4
+
+
+def test_estimates_of_a_record_keep_one_program_between_them(monkeypatch):
+    """Each takes megabytes where gaps are long: of a record of hundreds of rows, gigabytes."""
+    made, initial = [], RecordProgram.__init__
+
+    def counted(self, *given):
+        made.append(weakref.ref(self))
+        initial(self, *given)
+
+    monkeypatch.setattr(RecordProgram, "__init__", counted)
+    mhe = MAKERS["moving horizon"](initial_error=[2.0, 2.0])
+    estimates = [mhe.update(*row) for row in RECORD]
+    radii = [estimate.radii for estimate in estimates]
+    gc.collect()
+    assert len(made) >= len(estimates)
+    assert sum(program() is not None for program in made) == 1
+    one = estimates[1].interval([[1.0, 0.0]])  # posed anew
+    assert one.radii_from(estimates[1].x[:1]) == pytest.approx(radii[1][:1], rel=1e-9)
 
 
 def test_what_cannot_be_moved_says_why():

@@ -46,6 +46,7 @@ class EstimateAssumptions:
     error: BoundedSet
     state: tuple[RowReading, ...] = ()
     _tables: dict[tuple[bytes, ...], GapTable] = field(default_factory=dict, repr=False)
+    _latest: dict[EstimateEvidence, RecordProgram] = field(default_factory=dict, repr=False)
 
     def unread(self, begin: float, inputs: InputHistory, start: BoundedSet | None = None) -> Readings:
         """Return what is known before anything is read, of a state in a set (default: unknown) at a time."""
@@ -73,11 +74,20 @@ def output_of(found: Disproof, k: int) -> int:
 class EstimateEvidence:
     """The nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
 
-    __slots__ = ("_program", "assumed", "inputs", "nodes", "radius_known")
+    __slots__ = ("assumed", "inputs", "nodes", "radius_known")
 
     def __init__(self, assumed: EstimateAssumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
-        self._program: RecordProgram | None = None
+
+    @property
+    def _program(self) -> RecordProgram:
+        """The program of its samples. It takes megabytes, so that only that of the evidence asked last is kept."""
+        latest = self.assumed._latest
+        found = latest.get(self)
+        if found is None:
+            latest.clear()
+            found = latest[self] = self.assumed.program(self._readings())
+        return found
 
     @property
     def contradiction(self) -> Contradiction | None:
@@ -92,8 +102,6 @@ class EstimateEvidence:
 
     def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array, float] | None = None) -> Interval:
         """Return the interval of wanted rows at t; `ellipsoid` (x, covariance, radius) holds the state, too."""
-        if self._program is None:
-            self._program = self.assumed.program(self._readings())
         program, rows = self._program, requested_rows(self.assumed.plant, of)
         if self.assumed.state and t > program.readings.times[-1]:
             program = self.assumed.program(self._readings(t))
@@ -147,8 +155,6 @@ class EstimateEvidence:
 
     def tube(self, times: Array, x: Array) -> StateTube:
         """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
-        if self._program is None:
-            self._program = self.assumed.program(self._readings())
         tube = open_tube(self._program, times, x)
         if self.contradiction is None:
             return tube

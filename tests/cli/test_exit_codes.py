@@ -102,11 +102,13 @@ def test_an_error_of_a_library_that_an_interrupt_caused_is_the_interrupt(shell, 
     assert result.err == "sampling-design: interrupted.\n"
 
 
-def test_an_interrupt_of_code_that_is_made_while_it_runs_is_130():
+def test_an_interrupt_of_code_that_is_made_while_a_module_runs_is_130(tmp_path):
     """Of a named tuple, as they are made while the package loads."""
     made = "exec('import os; os.kill(os.getpid(), 2); [0 for _ in range(10**6)]')"
     command = f"from sampling_design.cli import exit_codes\nexit_codes._run = lambda: {made}\nexit_codes.main()"
-    found = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False)
+    (tmp_path / "made.py").write_text(command)
+    command = [sys.executable, "-m", "made"]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (found.returncode, found.stderr) == (130, "sampling-design: interrupted.\n")
 
 

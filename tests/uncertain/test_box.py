@@ -143,6 +143,22 @@ def test_a_count_over_a_box_is_that_of_its_fastest_plant():
     assert "fastest" in found.explain()
 
 
+@pytest.mark.parametrize("low", [1.0, 0.5])
+def test_where_no_parameter_moves_anything_counts_and_existence_are_those_of_the_plant(low):
+    """A parameter of zero width, or of the disturbance alone: of defective modes, too, which bounds in cells blur."""
+    rng = np.random.default_rng(5)
+    plants = [Plant(rng.normal(size=(n, n)), rng.normal(size=(p, n))) for n, p in ((2, 1), (3, 2))]
+    plants += [Plant(np.diag(np.ones(n - 1), 1), np.eye(n)[:p] + 0.1) for n, p in ((2, 2), (3, 1), (4, 2))]
+    for plant in plants:
+        moved = {"A" if low == 1.0 else "G": np.ones_like(plant.A)}
+        box = UncertainPlant(plant, [UncertainParameter("k", low, 1.0, nominal=1.0, **moved)])
+        for duration in (1.0, 2 * np.pi):
+            assert zero_count_bound(box, duration).samples == zero_count_bound(plant, duration).samples
+        for eta, schedule in ((0.3, PeriodicSchedule([1.0, 0.7])), (0.0, PeriodicSchedule([2.0]))):
+            found, own = (certificate_exists(one, schedule, eta) for one in (box, plant))
+            assert (found.exists, found.margin, found.reason) == (own.exists, own.margin, own.reason)
+
+
 def test_a_count_is_refused_where_a_plant_of_the_box_hides_a_mode():
     hidden = UncertainPlant(OSCILLATOR, [UncertainParameter("gain", -0.1, 1.0, C=[[1.0, 0.0]], nominal=1.0)])
     with pytest.raises(NotObservableError, match="for every plant of the box"):

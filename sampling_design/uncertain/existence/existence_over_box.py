@@ -49,7 +49,7 @@ class ExistenceOverBox(ExistenceAnswer):
         Of `certificate_exists` at `worst`.
     reason : str
     cells : int
-        BoxCells of the box, each with gains of its own.
+        BoxCells of the box, each with gains of its own; 0 where no parameter moves anything: then eigenvalues decide.
     """
 
     exists: bool
@@ -104,6 +104,9 @@ def existence_over_box(
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
     model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)
+    if not model.m:  # of one plant its eigenvalues say it
+        own = certificate_exists(plant.nominal, schedule, eta)
+        return ExistenceOverBox(own.exists, model.values(model.start), own.margin, own.reason, 0, plant)
     gaps, budget = FilteredErrors(model, schedule, eta), Budget(seconds)
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.errors import NotObservableError, UndecidedError
-from sampling_design.observability.count.zero_count import SampleCount, samples_above
+from sampling_design.observability.count.zero_count import SampleCount, samples_above, zero_count_bound
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -33,7 +33,7 @@ class ZeroCountOverBox(SampleCount):
     Attributes
     ----------
     value : float
-        At least n - 1 + T delta/(2 pi) for every plant.
+        At least k* of every plant, by n - 1 + T delta/(2 pi).
     samples_needed : int
         Any so many distinct times determine the state, whichever plant of the box it is.
     frequency_spread : float
@@ -98,6 +98,10 @@ def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOver
     duration, model = checks.nonnegative("duration", duration), BoxModel.of(plant, "zero_count_bound")
     if not model.n:
         return ZeroCountOverBox(-1.0, 0, 0.0, 0.0, {}, duration, 0, plant)
+    if not model.m:  # of one plant its eigenvalues say it
+        own = zero_count_bound(plant.nominal, duration)
+        spread, values = own.frequency_spread, model.values(model.start)
+        return ZeroCountOverBox(own.value, own.samples, spread, spread, values, duration, 0, plant)
     require_every_plant_observable(model)
     found, floor = _frequencies(model)
     top = max(1 / found.lower - floor, 0.0) if found.lower > 0 else np.inf

@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
-from sampling_design.accuracy.gains import filtered_bounds
+from sampling_design.accuracy.gains import path_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sampled_system import (
     MeasurementModel,
@@ -116,7 +116,8 @@ def finite_directions(system: SampledSystem, given: Sequence[Array] = ()) -> lis
         free = system.gaps[j - 1].F @ free if j else free
         observed.append(system.samples[j].H @ free)
         basis = _determined(free, observed)
-        reach = given[j] if j < len(given) else filtered_bounds(system, j, start, known, basis)
+        path = system.nodes(j, len(system))
+        reach = given[j] if j < len(given) else path_bounds(system, path, start, known.__getitem__, basis)
         found.append(BoundedDirections(basis, reach))
         known.append(found[j].reach if j and basis.shape[1] == n else None)
     return found

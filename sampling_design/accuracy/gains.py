@@ -78,18 +78,13 @@ def filter_gains(system: SampledSystem, nodes: list[int], mu: Array) -> list[Arr
     return gains
 
 
-def filtered_bounds(system: SampledSystem, j: int, start: InitialSet, known: list[Array | None], mu: Array) -> Array:
-    """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a system with a start.
-
-    `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
-    """
-    return path_bounds(system, system.nodes(j, len(system)), start, known.__getitem__, mu)
-
-
 def path_bounds(
     system: SampledSystem, nodes: list[int], start: InitialSet, known: Callable[[int], Array | None], mu: Array
 ) -> Array:
-    """Return the same of mu'z at the last of some nodes that begin at the start."""
+    """Return what the filter's gains prove of every column of mu'z, mu (n, k), at the last of nodes from the start on.
+
+    `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
+    """
     total, g, scale, reach = followed_back(system, nodes, mu, lambda k, g: system.samples[nodes[k]].K.T @ g, known)
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))

@@ -165,8 +165,10 @@ class AccuracyQuestion:
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
         return known_part(self.plant, self.nodes, self.schedule.period, outputs)
 
-    def sampled_system(self, plant: Plant, moving: Array | None = None) -> SampledSystem:
-        """The system whose gap j lies behind node j; `plant` is the known part.
+    def filter_bounds(
+        self, plant: Plant, moving: Array | None = None
+    ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
+        """The system whose gap j lies behind node j, and what its filter bounds; `plant` is the known part.
 
         `moving` (n, m) is what no sample of an endless schedule shows, as it is at the first one.
         """
@@ -174,13 +176,8 @@ class AccuracyQuestion:
             system = finite_system(plant, self.nodes, self.end, self.bounds, self.initial)
         else:
             system = periodic_system(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
-        return with_results_out(system, self.comes_after) if self.is_late else system
-
-    def filter_bounds(
-        self, plant: Plant, moving: Array | None = None
-    ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
-        """The system, and what its filter bounds."""
-        system = self.sampled_system(plant, moving)
+        if self.is_late:
+            system = with_results_out(system, self.comes_after)
         if system.start is not None:
             return system, with_branches(system, finite_directions(system))
         r = system.determined

@@ -28,10 +28,9 @@ from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import judged, rounding, scaled_bound
-from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
-from sampling_design.estimators.window.sliding import InitialNode
+from sampling_design.estimators.window.sliding import BandCache, InitialNode
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records import checks

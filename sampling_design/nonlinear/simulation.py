@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,8 @@ from sampling_design.uncertain.plants.time_varying import TOLERANCE as ALONG
 
 TOLERANCE = 1e-10  # relative and absolute tolerance of the integrator, in scaled states
 COVARIANCE_TOLERANCE = 1e-6  # of covariances, relative: a millionth of a variance changes no digit that is printed
-MAX_STEPS = 20000  # steps that the integrator may take over one stretch
+CVODES = {"max_num_steps": 20000, "disable_internal_warnings": True, "show_eval_warnings": False}
+"""Steps that the integrator may take over one stretch; where it fails, that is raised and not printed."""
 
 
 def simulate(
@@ -131,21 +133,24 @@ def plant_along(plant: NonlinearPlant, x0: npt.ArrayLike, duration: float, u: np
     )  # fmt: skip
 
 
+def _stretch(plant: NonlinearPlant, unit: Array | float = 1.0) -> tuple[Any, ...]:
+    """Symbols of a stretch: scaled state, w by its unit, parameters, time from 0 to 1, length; and the scaled rate."""
+    ca, scale, m = casadi(), plant.signals["states"].scales, plant.n_inputs
+    z, s, w = ca.SX.sym("z", plant.n_states), ca.SX.sym("s"), ca.SX.sym("w", plant.n_disturbances)
+    u, rise, start, h = ca.SX.sym("u", m), ca.SX.sym("rise", m), ca.SX.sym("start"), ca.SX.sym("h")
+    rate = plant.rate_casadi(z * scale, u + s * rise, w * unit, start + s * h) / scale
+    return z, w, ca.vertcat(u, rise, w, start, h), s, h, rate
+
+
 class Integrator:
     """Carries a state over a stretch of constant disturbance, u straight between two values; built once, used often."""
 
     def __init__(self, plant: NonlinearPlant, tolerance: float = TOLERANCE) -> None:
-        ca = casadi()
-        m, q = plant.n_inputs, plant.n_disturbances
         self.plant, self.scale = plant, plant.signals["states"].scales
-        z, s = ca.SX.sym("z", plant.n_states), ca.SX.sym("s")
-        u, rise, w = ca.SX.sym("u", m), ca.SX.sym("rise", m), ca.SX.sym("w", q)
-        start, h = ca.SX.sym("start"), ca.SX.sym("h")
-        rate = plant.rate_casadi(z * self.scale, u + s * rise, w, start + s * h) / self.scale
-        problem = {"x": z, "t": s, "p": ca.vertcat(u, rise, w, start, h), "ode": h * rate}
-        options: dict[str, object] = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
-        options |= {"disable_internal_warnings": True, "show_eval_warnings": False}  # raised, not printed
-        self._step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
+        z, _, parameters, s, h, rate = _stretch(plant)
+        problem = {"x": z, "t": s, "p": parameters, "ode": h * rate}
+        options = {"reltol": tolerance, "abstol": tolerance} | CVODES
+        self._step = casadi().integrator("step", "cvodes", problem, 0.0, 1.0, options)
 
     def step(self, x: Array, u: Array, w: Array, start: float, stop: float, u_stop: Array | None = None) -> Array:
         """Return x(stop) from x(start) = x; u is constant, or runs straight to `u_stop`.
@@ -186,20 +191,16 @@ class CovarianceIntegrator:
         self, plant: NonlinearPlant, noise: Array, eta: float, tolerance: float = COVARIANCE_TOLERANCE
     ) -> None:
         ca = casadi()
-        n, m, q = plant.n_states, plant.n_inputs, plant.n_disturbances
-        scale, unit = plant.signals["states"].scales, plant.signals["disturbances"].scales
-        self.scale, self.unit, self.n = scale, unit, n
-        z, Y, s = ca.SX.sym("z", n), ca.SX.sym("Y", n, n), ca.SX.sym("s")
-        u, rise, w = ca.SX.sym("u", m), ca.SX.sym("rise", m), ca.SX.sym("w", q)
-        start, h, size = ca.SX.sym("start"), ca.SX.sym("h"), ca.SX.sym("size")
-        rate = plant.rate_casadi(z * scale, u + s * rise, w * unit, start + s * h) / scale
+        self.scale, self.unit, n = plant.signals["states"].scales, plant.signals["disturbances"].scales, plant.n_states
+        self.n = n
+        z, w, parameters, s, h, rate = _stretch(plant, self.unit)
+        Y, size = ca.SX.sym("Y", n, n), ca.SX.sym("size")
         A, G = ca.jacobian(rate, z), ca.jacobian(rate, w)
         half = ca.mtimes(A, Y)
         growth = half + half.T + eta * Y + ca.mtimes([G, ca.DM(noise), G.T]) / size
-        rates, parameters = ca.vertcat(rate, ca.vec(growth)), ca.vertcat(u, rise, w, start, h, size)
-        problem = {"x": ca.vertcat(z, ca.vec(Y)), "t": s, "p": parameters, "ode": h * rates}
-        options: dict[str, object] = {"reltol": tolerance, "abstol": tolerance**1.5}
-        options |= {"max_num_steps": MAX_STEPS, "disable_internal_warnings": True, "show_eval_warnings": False}
+        rates, state = ca.vertcat(rate, ca.vec(growth)), ca.vertcat(z, ca.vec(Y))
+        problem = {"x": state, "t": s, "p": ca.vertcat(parameters, size), "ode": h * rates}
+        options = {"reltol": tolerance, "abstol": tolerance**1.5} | CVODES
         self._step = ca.integrator("covariance", "cvodes", problem, 0.0, 1.0, options)
 
     def step(

@@ -49,7 +49,8 @@ def cut_gains(plan: PlanFigures) -> tuple[CutGains, ...]:
     system, directions = plan_bounds(plan)
     count = len(plan.accuracy.question.primitive().nodes)  # the proof is over the shortest period
     alike = {part.sample: part for part in plan.accuracy.proof if count == len(system) or part.sample < count}
-    return tuple(_cut(system, directions, alike[j]) if j in alike else _nothing() for j in range(len(system.samples)))
+    nothing = CutGains(np.zeros((0, 0)), np.zeros((0, 0)))
+    return tuple(_cut(system, directions, alike[j]) if j in alike else nothing for j in range(len(system.samples)))
 
 
 def out_at(system: SampledSystem, node: int, phase: int) -> tuple[object, ...]:
@@ -84,10 +85,6 @@ def wider_by(plan: PlanFigures, nodes: list[int], reach: list[Array]) -> Array:
             for now, was in each
         ]
     )
-
-
-def _nothing() -> CutGains:
-    return CutGains(np.zeros((0, 0)), np.zeros((0, 0)))
 
 
 def _cut(system: SampledSystem, directions: Sequence[BoundedDirections], part: GapProof) -> CutGains:

@@ -11,7 +11,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Integers
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import Seed
 from sampling_design.schedules.family import (
     START,
@@ -126,9 +126,6 @@ class LostSamples(NominalFamily, kind="lost-samples"):
             return False
         lost = np.ones(len(nominal), dtype=int)
         lost[kept] = 0
-        return self._few(lost, cyclic)
-
-    def _few(self, lost: Integers, cyclic: bool) -> bool:
         if cyclic:
             lost = np.tile(lost, 1 + -(-self.of // lost.size))
         total = np.concatenate([[0], np.cumsum(lost)])

@@ -185,22 +185,11 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         gaps: list[float] = []
         time = 0.0
         while len(gaps) < most and (not gaps or time < stop):
-            high = self._longest_next(gaps)
+            high = self._room(tuple(gaps[: -self.count : -1]))
             low = self.spacing if gaps else 0.0
             gaps.append(pick(rng, low, max(low, high)))
             time += gaps[-1]
         return Schedule.from_gaps(gaps, time_unit=self.time_unit)
-
-    def _longest_next(self, gaps: list[float]) -> float:
-        """Longest gap after these that leaves room for the gaps to come, each at least the spacing."""
-
-        def room(start: int) -> float:
-            summed = gaps[start:]
-            return self.window - sum(summed) - (self.count - 1 - len(summed)) * self.spacing
-
-        start = max(0, len(gaps) - self.count + 1)
-        # the k gaps that begin one later bind only where they leave out d_1 < spacing
-        return min(room(start), room(min(start + 1, len(gaps))))
 
     @property
     def levels_of_memory(self) -> int:
@@ -216,7 +205,8 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             If no endless schedule belongs to the family.
         """
         self._need_endless()
-        return gap_steps(self.spacing, self.d_max + OUTWARD * self.window, self._room, memory, outputs)
+        wider = OUTWARD * self.window
+        return gap_steps(self.spacing, self.d_max + wider, lambda word: self._room(word) + wider, memory, outputs)
 
     def _room(self, word: Word) -> float:
         """Longest gap after gaps of at least these lengths (newest first).
@@ -224,8 +214,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         Of the k gaps that hold the new one, i are old and k - 1 - i, each at least epsilon, are to come.
         """
         k, old = self.count, [float(gap) for gap in word]
-        least = min(self.window - sum(old[:i]) - (k - 1 - i) * self.spacing for i in range(min(len(old), k - 1) + 1))
-        return float(least + OUTWARD * self.window)
+        return min(self.window - sum(old[:i]) - (k - 1 - i) * self.spacing for i in range(min(len(old), k - 1) + 1))
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = f" {self.time_unit}" if self.time_unit else ""

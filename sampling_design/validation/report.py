@@ -82,11 +82,8 @@ class ClaimCheck(YesOrNo):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        keys = ("claim", "scenario", "predicted", "observed", "sense", "source", "strength", "note", "checked")
-        data = {key: getattr(self, key) for key in keys} | {"margin": self.margin}
-        if not self.checked:
-            data |= {"observed": None, "margin": None}
-        return {**data, "passed": self.passed}
+        unknown = {} if self.checked else {"observed": None, "margin": None}
+        return {**vars(self), "margin": self.margin, **unknown, "passed": self.passed}
 
     def explain(self) -> str:
         """Say whether the promise held."""

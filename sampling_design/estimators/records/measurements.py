@@ -30,7 +30,7 @@ from sampling_design.estimators.records.measurement_table import (
 )
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column
 from sampling_design.records.record import ListRecord, counted, moment
@@ -235,16 +235,17 @@ class Measurements(ListRecord[MeasuredRow]):
         y = np.where(out[:, None], np.nan, ordered.y)
         censored = tuple(() if gone else row for row, gone in zip(ordered.censored, out.tolist(), strict=True))
         kept = ~out | np.isfinite(ordered.u).any(axis=1)
-        some = tuple(row for row, stays in zip(censored, kept.tolist(), strict=True) if stays)
-        return replace(ordered, times=ordered.times[kept], y=y[kept], u=ordered.u[kept], censored=some)
+        return replace(ordered, y=y, censored=censored)._of_rows(np.flatnonzero(kept))
 
     def in_order(self) -> Measurements:
         """Return the rows in order of time; those of one time in the order in which they came."""
         if np.all(self.times[1:] >= self.times[:-1]):
             return self
-        order = np.argsort(self.times, kind="stable")
-        censored = tuple(self.censored[k] for k in order.tolist())
-        return replace(self, times=self.times[order], y=self.y[order], u=self.u[order], censored=censored)
+        return self._of_rows(np.argsort(self.times, kind="stable"))
+
+    def _of_rows(self, rows: Index) -> Measurements:
+        censored = tuple(self.censored[k] for k in rows.tolist())
+        return replace(self, times=self.times[rows], y=self.y[rows], u=self.u[rows], censored=censored)
 
     def merged(self, other: Measurements) -> Measurements:
         """Return the rows of both in order of time; what both say at one time must agree.
@@ -280,9 +281,7 @@ class Measurements(ListRecord[MeasuredRow]):
             outputs = [each.output for each in censored[at]]
             if len(set(outputs)) < len(outputs) or np.isfinite(y[at, outputs]).any():
                 raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
-        rows = np.flatnonzero(kept)
-        some = tuple(censored[k] for k in rows.tolist())
-        return replace(both, times=both.times[rows], y=y[rows], u=u[rows], censored=some)
+        return replace(both, y=y, u=u, censored=tuple(censored))._of_rows(np.flatnonzero(kept))
 
     def _entries(self) -> list[MeasuredRow]:
         return list(self)

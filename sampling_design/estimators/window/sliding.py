@@ -10,6 +10,7 @@ through `dot`, whose call costs a third of that of `@`.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable
 from operator import is_
 from typing import NamedTuple
@@ -31,6 +32,7 @@ FAR = 60.0  # exponent up to which discounts may grow before they count from a n
 WIDEST = 300.0
 """Exponent of the discount over a window from which on it is not remembered: its start has no weight then."""
 
+HISTORIES = 64  # histories of one estimator that are remembered side by side
 ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
 CANCELLED = 1e-4  # share of the reference's cost below which the least cost is not found as a difference from it
 
@@ -420,6 +422,47 @@ class SlidingBand:
         _, _, Y, gain, half = self._absorbed
         missed, read = half.dot(innovation), kind.size @ np.abs(node.y)
         return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, float(read @ read)
+
+
+class BandCache:
+    """Sliding bands by their last node, the least recently used dropped first."""
+
+    def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
+        self._weights, self._energy = weights, energy
+        self._known: OrderedDict[int, tuple[HistoryNode, SlidingBand]] = OrderedDict()
+        self._begun: SlidingBand | None = None
+
+    def of(self, nodes: tuple[HistoryNode, ...], first: int) -> tuple[SlidingBand, int] | None:
+        """Return the band that ends with the last of `nodes`, and the number in it of node `first`; None if unfit."""
+        count = len(nodes) - first
+        if not count:
+            return SlidingBand(self._weights, self._energy), 0
+        node, band = self._known.pop(id(nodes[-1]), (None, None))
+        if band is not None and node is nodes[-1] and band.settle(node):
+            at = len(band.nodes) - count
+            if at >= 0 and band.nodes[at] is nodes[first]:
+                if at >= ROOM // 2:
+                    band.forget(at)
+                    at = 0
+                return band, at
+        band = SlidingBand(self._weights, self._energy)
+        for node in nodes[first:]:
+            if not band.append(node, node.x):
+                return None
+            band.nodes.append(node)
+        return band, 0
+
+    def begun(self, band: SlidingBand) -> None:
+        """Hold a band to whose last entry there is no node yet."""
+        self._begun = band
+
+    def keep(self, node: HistoryNode) -> None:
+        """Remember the band that was begun, if `node` is what its last entry has become."""
+        band, self._begun = self._begun, None
+        if band is not None and band.ends_with(node):
+            self._known[id(node)] = node, band
+            if len(self._known) > HISTORIES:
+                self._known.popitem(last=False)
 
 
 def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, WindowGains] | None:

@@ -1,8 +1,10 @@
 """Every numbered item of the paper and every correction has a theory entry, a function or a reason, and a test."""
 
 import ast
+import builtins
 import importlib
 import re
+import symtable
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -20,11 +22,13 @@ NUMBERED = {
     *(f"rem-{n}" for n in (8, 13, 15)),
     "lemma-12",
     *(f"eq-{n}" for n in range(1, 30)),
+    *(f"eq-A{n}" for n in range(1, 10)),
     "appendix-proof",
     "appendix-equivalence",
     "section-6",
     *(f"E{n}" for n in range(1, 38)),
 }
+CELL = r"```\{code-cell\} python\n(.*?)```"
 KEYS = {"id", "kind", "label", "title", "theory", "functions", "no_function", "tests", "printed", "no_test"}
 
 
@@ -38,6 +42,12 @@ def anchors() -> set[str]:
 @cache
 def functions_in(path: str) -> set[str]:
     return {node.name for node in ast.parse((ROOT / path).read_text()).body if isinstance(node, ast.FunctionDef)}
+
+
+def missing(scope: symtable.SymbolTable) -> set[str]:
+    """Names that code asks for from outside its functions."""
+    own = {s.get_name() for s in scope.get_symbols() if s.is_global() or scope.get_type() == "module"}
+    return own.union(*(missing(child) for child in scope.get_children()))
 
 
 def opened(name: str) -> object:
@@ -91,15 +101,33 @@ def test_every_item_is_worked_out_in_ten_lines():
     """The build executes them; one that needed more would no longer be what a reader types."""
     text = (DOCS / "paper.md").read_text()
     sections = dict(re.findall(r"^### (.+)\n((?:(?!^#).*\n)*)", text, re.MULTILINE))
-    cells = [cell.strip().splitlines() for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", text, re.DOTALL)]
+    cells = [cell.strip().splitlines() for cell in re.findall(CELL, text, re.DOTALL)]
     assert max(len([line for line in cell if line.strip()]) for cell in cells) <= 10
     assert all("```{code-cell}" in body for body in sections.values())
     worked = set()
     for heading in sections:
         name = re.sub(r"[Ee]quations? ", "", heading.split(":")[0])
-        ends = [int(n) for n in re.findall(r"\((\d+)\)", name)] if " to " in name else [1, 0]
-        worked |= {*re.split(", | and ", name), *(f"({n})" for n in range(ends[0], ends[1] + 1))}
+        ends = [int(n) for n in re.findall(r"\((?:A\.)?(\d+)\)", name)] if " to " in name else [1, 0]
+        letter = "A." if "(A." in name else ""
+        worked |= {*re.split(", | and ", name), *(f"({letter}{n})" for n in range(ends[0], ends[1] + 1))}
     assert sorted({item["label"] for item in ITEMS if item["kind"] != "erratum"} - worked) == []
+
+
+def test_a_chapter_needs_the_head_and_what_stands_above_in_it():
+    """As the page says: who copies one cell copies those above it in its chapter, and no other."""
+    text = (DOCS / "paper.md").read_text()
+    head, *chapters = [re.findall(CELL, part, re.DOTALL) for part in re.split(r"^## ", text, flags=re.MULTILINE)]
+    assert len(head) == 3
+    for cells in chapters:
+        assert cells
+        scope = symtable.symtable("\n".join([*head, *cells]), "chapter", "exec")
+        made = {s.get_name() for s in scope.get_symbols() if s.is_assigned() or s.is_imported() or s.is_namespace()}
+        assert sorted(missing(scope) - made - set(dir(builtins))) == []
+
+
+def test_every_correction_stands_under_the_item_that_it_mends():
+    linked = re.findall(r"\[(E\d+)\]\(#errata-e\d+\)", (DOCS / "paper.md").read_text())
+    assert sorted(linked) == sorted(item["id"] for item in ITEMS if item["kind"] == "erratum")
 
 
 def test_theory_that_docstrings_cite_by_number_has_a_page():

@@ -37,6 +37,7 @@ _NO = object()
 _CALLED = {
     "Client": "a Dask client",
     "Executor": "a concurrent.futures.Executor",
+    "Dataset": "an xarray Dataset",
     "Generator": "a numpy.random.Generator",
     "HasSchedule": "a ScheduleDesign",
     "MeasuredPlant": "a NonlinearPlant",

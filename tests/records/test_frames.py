@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas
 import pytest
+import xarray
 
 import sampling_design
 import sampling_design as sd
@@ -373,6 +374,32 @@ def test_frames_of_pandas_and_polars_say_the_same():
         assert list(estimates.to_frame().index) == list(found.to_frame().index)
 
 
+class Lazy:
+    """A frame of polars that is not computed yet."""
+
+    def __init__(self, frame):
+        self.frame, self.columns = frame, frame.columns
+
+    def __getitem__(self, name):
+        raise TypeError(name)
+
+    def collect(self):
+        return self.frame
+
+
+def test_a_dataset_and_a_lazy_frame_are_the_frames_that_they_turn_into():
+    frame = pandas.DataFrame({"time": [0.5, 1.5], "gauge": [1.0, np.nan]}).set_index("time")
+    dataset = xarray.Dataset({"gauge": ("time", frame["gauge"])}, coords={"time": frame.index})
+    for given in (dataset, dataset["gauge"], Lazy(frame)):
+        np.testing.assert_array_equal(sd.read_measurements(given, TANK).y, [[1.0]])
+
+
+def test_a_stamp_that_is_missing_is_said_to_be_missing():
+    for name in ("time", "date"):
+        with pytest.raises(FileFormatError, match=f"the frame: the {name} in line 2 is missing."):
+            sd.read_measurements(pandas.DataFrame({name: [None], "gauge": [1.0]}), TANK)
+
+
 class Columns:
     """A frame of another library, whose columns are no names."""
 
@@ -428,7 +455,7 @@ def test_an_interval_says_how_a_frame_is_given():
 def test_a_bad_frame_is_refused_in_the_words_of_a_file():
     with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
         sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)
-    with pytest.raises(ArgumentError, match=r"`path` must be .* or a DataFrame or a pandas Series, got int 3"):
+    with pytest.raises(ArgumentError, match=r"`path` must be .* or a DataFrame .* or an xarray .*, got int 3"):
         sd.read_measurements(3, OSCILLATOR)
 
 

@@ -1,4 +1,4 @@
-"""Frames of pandas and polars, and series, as the lines of the file that they would be: one grammar reads both."""
+"""Frames of pandas and polars, series, datasets, as the lines of the file that they would be: one grammar reads all."""
 
 from __future__ import annotations
 
@@ -50,16 +50,38 @@ class Series(Protocol):
     def to_frame(self, name: object = ...) -> DataFrame: ...
 
 
-def is_frame(record: object) -> TypeGuard[DataFrame | Series]:
-    """Whether this is a frame or a series that can be read, and not the class of one."""
-    return isinstance(record, _PandasFrame | _PolarsFrame | Series) and not isinstance(record, type)
+@runtime_checkable
+class Dataset(Protocol):
+    """What is asked of a Dataset or a named DataArray of xarray, with its stamps as its only axis."""
+
+    def to_dataframe(self) -> DataFrame: ...
 
 
-def lines_of(source: str | os.PathLike[str] | DataFrame | Series, plant: MeasuredPlant) -> tuple[str, Iterator[str]]:
+@runtime_checkable
+class _LazyFrame(DataFrame, Protocol):
+    def collect(self) -> DataFrame: ...
+
+
+def is_frame(record: object) -> TypeGuard[DataFrame | Series | Dataset]:
+    """Whether this is a frame, a series or a dataset that can be read, and not the class of one."""
+    kinds = _PandasFrame | _PolarsFrame | _LazyFrame | Series | Dataset
+    return isinstance(record, kinds) and not isinstance(record, type)
+
+
+def lines_of(
+    source: str | os.PathLike[str] | DataFrame | Series | Dataset, plant: MeasuredPlant
+) -> tuple[str, Iterator[str]]:
     """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
         return os.fspath(source), file_io.text_lines(source)
-    frame = source.to_frame(_name_of(source, plant)) if isinstance(source, Series) else source
+    frame: object = source
+    match source:
+        case Series():
+            frame = source.to_frame(_name_of(source, plant))
+        case Dataset():
+            frame = source.to_dataframe()
+        case _LazyFrame():
+            frame = source.collect()
     if not isinstance(frame, _PandasFrame | _PolarsFrame):
         raise ArgumentError(f"`path` must be a file, or a frame of pandas or polars, got {checks.described(source)}.")
     header = [str(name) for name in frame.columns]

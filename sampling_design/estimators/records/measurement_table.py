@@ -381,6 +381,8 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
         return float("nan")
     value = file_io.decimal(cell)
     if value is None:
+        if not cell and name == "time":
+            raise FileFormatError(f"{where}: the time in line {line} is missing.", where)
         hint = " Leave the cell empty if nothing was measured." if blank else ""
         if name == "time" and _is_date(cell):
             hint = " Dates stand in a column named date."
@@ -404,6 +406,8 @@ def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> date
     except ValueError:
         at = f"in line {line}" if line else "given as origin"
         slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
+        if not cell:
+            raise FileFormatError(f"{where}: the date {at} is missing.", where) from None
         raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.{slip}", where) from None
     return date.replace(tzinfo=zone) if date.tzinfo is None else date
 

@@ -16,7 +16,7 @@ import numpy as np
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.records.frames import DataFrame, Series, lines_of
+from sampling_design.estimators.records.frames import DataFrame, Dataset, Series, lines_of
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
     STAMPS,
@@ -319,7 +319,7 @@ class Measurements(ListRecord[MeasuredRow]):
 
 @checked
 def read_measurements(
-    path: str | os.PathLike[str] | DataFrame | Series,
+    path: str | os.PathLike[str] | DataFrame | Series | Dataset,
     plant: Plant | MeasuredPlant,
     *,
     origin: str | date | None = None,
@@ -329,7 +329,7 @@ def read_measurements(
 
     Parameters
     ----------
-    path : path, DataFrame or Series
+    path : path, DataFrame, Series or Dataset
         Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that day),
         then the plant's output names, then its input names, in any order. An empty output cell is "not measured" (a row
         that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and
@@ -338,7 +338,8 @@ def read_measurements(
         a composite sample began, in the unit of the first column: the output is the mean from then on. Lines that start
         with # are comments. NaN and null of a frame are what an empty cell is. Where a frame has no column `time` or
         `date`, its index has the times (numbers that do more than count the rows) or the dates, else its only column
-        of dates has them, whatever they are called. A pandas Series is a frame of one output.
+        of dates has them, whatever they are called. A pandas Series is a frame of one output,
+        a Dataset of xarray with one axis the frame that it turns into.
     plant : Plant
     origin : str or datetime, optional
         Date of time 0 in a file of dates. Default: the date of the first row.

@@ -313,14 +313,12 @@ class Accuracy(AccuracyBracket, CurveRecord):
     def explain(self) -> str:
         """Say what can be guaranteed."""
         known = np.isfinite(self.upper)
-        parts = [
-            f"{n} within {above(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
-        ]
+        ends = zip(self.rows.labels(), self.upper, self.lower, strict=True)
+        parts = [f"{n} within {above(u, 4)} (none less than {below(low, 4)})" for n, u, low in ends if np.isfinite(u)]
         lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
         text = f"No error bound of {', '.join(lost)} holds at all times: {self._why()}. " if lost else ""
         if not parts:
             return text.strip() or "No row was asked for."
-        low = self.lower[known]
         late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
         when = "At all times"
         if any(np.isinf(self.known_from[k]) for k in late):
@@ -332,8 +330,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if self.result_delay:
             when += f", with results {self._delays()} after their samples"
         return (
-            f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
-            f"{below(low if low.size > 1 else low[0], 4)} ({self._within()})."
+            f"{text}{when}, some estimator guarantees {', '.join(parts)}: {self._within()}."
             + (f" {self.notice}" if self.notice else "")
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )

@@ -69,6 +69,11 @@ class SampleLosses(TableRecord):
         """Index of the sample whose loss hurts most."""
         return int(np.argmin(self.lower))
 
+    @property
+    def alike(self) -> bool:
+        """Whether each loss costs as much as any other, to the digits that are printed."""
+        return len({below(low) for low in self.lower}) == 1
+
     _answers = (
         "sigma of a design without each single sample",
         "proven: over every window, and what no schedule with one sample fewer exceeds",
@@ -92,17 +97,21 @@ class SampleLosses(TableRecord):
         rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", below(self.sigma))]
         rows += [] if self.deviations is None else self.deviations._rows()[:1]
         columns = zip(self.times, self.lower, self.bound, strict=True)
-        return rows + [
-            (f"without t = {moment(t, self.times)}", f"{below(v)}, none exceeds {above(b)}") for t, v, b in columns
-        ]
+        return rows + [(f"without {self._at(t)}", f"{below(v)}, none exceeds {above(b)}") for t, v, b in columns]
+
+    def _at(self, t: float) -> str:
+        return f"t = {moment(t, self.times)} {self.time_unit or ''}".rstrip()
 
     def explain(self) -> str:
         """Say which sample matters most."""
         i = self.dearest
         how = "left out of every period" if self.every_period else "missed once"
+        which, more = f"the sample at {self._at(self.times[i])}", "; no other single loss costs more"
+        if self.alike:
+            which, more = "any sample", ""
         return (
-            f"If the sample at {moment(self.times[i], self.times)} is {how}, sigma falls from {below(self.sigma)} "
-            f"to {below(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
+            f"If {which} is {how}, sigma falls from {below(self.sigma)} "
+            f"to {below(self.lower[i])}{more}. No schedule with one sample fewer exceeds "
             f"{above(self.bound[i])}."
             + ("" if self.deviations is None or self.deviations.in_sigma else f" {self.deviations.explain()}")
         )

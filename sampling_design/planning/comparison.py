@@ -104,13 +104,13 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
         share = min(costs) / max(costs) if max(costs) > 0 else 1.0
         alike = share > 1 - 1e-9
         less = self.names[0] if costs[0] < costs[1] else self.names[1]
-        text = "Both cost the same" if alike else f"{less} costs {100 * (1 - share):.3g} % less"
+        text = "Both cost the same" if alike else f"{less} costs {short(100 * (1 - share), 3)} % less"
         parts = []
         for goal in self.shared():
             first, second = self.reached(goal.name)
             better = self.names[0] if first < second else self.names[1]
             closer = 1 - min(first, second) / max(first, second)
-            parts.append(f"{goal.name} by {better} ({100 * closer:.2g} % closer)")
+            parts.append(f"{goal.name} by {better} ({short(100 * closer, 2)} % closer)")
         return f"{text}; known better: {', '.join(parts)}."
 
     def to_dict(self) -> dict[str, Plain]:

@@ -190,7 +190,8 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("sigma (state at window's start)")
     worst = style.moment(ax, losses.times[int(np.argmin(losses.lower))], losses.time_unit, 4)
     missed = "missing in every period" if losses.every_period else "missed once"
-    ax.set_title(f"{missed}: the sample at {worst} costs most", loc="left")
+    dear = "each sample costs as much" if losses.alike else f"the sample at {worst} costs most"
+    ax.set_title(f"{missed}: {dear}", loc="left")
     style.legend(ax, 2)
     return ax
 

@@ -24,6 +24,7 @@ Column: TypeAlias = "Sequence[object] | npt.NDArray[np.generic]"  # one column o
 
 LARGE = 1e5  # of a time, in whatever unit: beyond it six digits leave less than a whole unit and a digit
 ONE = 8 * np.finfo(float).eps  # of their size: times so near are one, up to the rounding of sums of gaps
+PLAIN = 1e4  # below it a number is written without an exponent, however few of its digits are asked for
 SHOWN = 8  # entries of an array that a line of a table holds
 
 Converting = TypeVar("Converting")
@@ -178,9 +179,14 @@ def short(value: object, digits: int = 6, up: bool | None = None) -> str:
 def _digits(value: float, digits: int, up: bool | None) -> str:
     nearest = f"{value:.{digits}g}"
     if up is None or not math.isfinite(value) or (float(nearest) >= value if up else float(nearest) <= value):
-        return nearest
+        return _plain(nearest)
     outward = Context(prec=digits, rounding=ROUND_CEILING if up else ROUND_FLOOR).create_decimal(value)
-    return f"{float(outward):.{digits}g}"
+    return _plain(f"{float(outward):.{digits}g}")
+
+
+def _plain(text: str) -> str:
+    """The same number without an exponent that only says how few digits it has."""
+    return f"{float(text):g}" if "e+" in text and abs(float(text)) < PLAIN else text
 
 
 def below(value: object, digits: int = 6) -> str:

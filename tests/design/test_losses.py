@@ -66,6 +66,10 @@ def test_a_lost_fixed_sample_has_a_bound_of_its_own():
 def test_missing_once_costs_less_where_a_window_spans_periods():
     design = designed(window=4.0, period=2.0, samples=2)
     once, always = sample_losses(design), sample_losses(design, every_period=True)
+    assert once.alike == (len({f"{low:.6g}" for low in once.lower}) == 1)
+    assert (
+        ("any sample is missed" in once.explain()) == once.alike == ("costs as much" in once.plot().get_title("left"))
+    )
     assert np.all(once.lower >= always.lower)
     assert np.any(once.lower > always.upper)
 

@@ -187,6 +187,7 @@ def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.
 
 def _last(plant: sd.Plant, estimate: Estimate, kind: str, origin: str) -> RichTable:
     radii, labels = estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii, plant.states.labels()
-    rows = [[labels[i], short(estimate.x[i]), above(radii[i])] for i in range(len(labels))]
+    known = ["not known" if np.isnan(radius) else above(radius) for radius in radii]
+    rows = [[label, short(x), radius] for label, x, radius in zip(labels, estimate.x, known, strict=True)]
     when = time_or_date(origin, estimate.t, plant.time_unit)
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

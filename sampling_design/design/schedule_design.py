@@ -246,7 +246,7 @@ class ScheduleDesign(PlainRecord):
             ("over every window", f"of {short(self.requirement.window)} {unit} (half-open, at every real position)"),
             ("period", f"{short(self.requirement.period)} {unit}"),
             ("spacing", f"{short(self.schedule.gaps.min())} (asked {short(self.requirement.spacing)}) {unit}"),
-            ("times", moment(self.schedule.times, self.problem.breakpoints)),
+            ("times", f"{moment(self.schedule.times, self.problem.breakpoints)} {unit}"),
             ("retained", f"{self.split.retained.n_states} of {self.plant.n_states} states"),
             ("status", self.status),
         ]

@@ -164,7 +164,7 @@ def estimator_for(
     >>> times = np.array([0.5, 1.2, 2.0, 2.6])
     >>> chosen = estimator_for(plant, Measurements(plant, times, np.cos(times)[:, None]), w_bound=0.1, v_bound=0.1)
     >>> chosen.guarantee
-    'Guarantee for all schedules with gaps from 0.6 to 0.8 s.'
+    'The guarantee is for all schedules with gaps from 0.6 to 0.8 s.'
     """
     plant, ordered, used = part_for(plant, of), record.in_order(), dict[str, str]()
     scales = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
@@ -181,7 +181,7 @@ def estimator_for(
     if certificate is None and schedule is not None:
         rate = _rate(plant, eta, schedule.d_max, used)
         certificate = certify(plant, schedule, eta=rate, progress=progress, **bounds)
-        guarantee = "Guarantee for the schedule given."
+        guarantee = "The guarantee is for the schedule given."
     elif certificate is None:
         certificate, guarantee = _from_gaps(plant, ordered, eta, bounds, used, progress)
     if certificate is None and horizon is None:
@@ -229,7 +229,7 @@ def _from_gaps(
         family = GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
             found = certify(plant, family, eta=rate, progress=progress, **bounds)
-            return found, f"Guarantee for all schedules with {span}."
+            return found, f"The guarantee is for all schedules with {span}."
         except (MathematicsError, SolverError):
             pass  # not every schedule with these gaps can be certified: perhaps this one can
     if times.size > OWN_SAMPLES:
@@ -240,7 +240,7 @@ def _from_gaps(
         certificate = certify(plant, own, eta=rate, progress=progress, **bounds)
     except (MathematicsError, SolverError) as error:
         return None, f"No guarantee beyond the ellipsoid: {span} cannot be certified ({str(error).rstrip('.')})."
-    words = f"Guarantee for the file's own times only, certified to its last time ({span})."
+    words = f"The guarantee is for the file's own times only, certified to its last time ({span})."
     if not asked:
         words += f" For all schedules with such gaps ask `certify --gap-range`: {plant.n_states} states take it long."
     return certificate, words

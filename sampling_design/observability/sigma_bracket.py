@@ -90,8 +90,9 @@ class SigmaDeviations(Record):
 
     def explain(self) -> str:
         """Say what is left of sigma; of late samples only where they were not asked for."""
+        lost = f"If one sample is lost, {_at_least(self.lost)}."
         if self.in_sigma:
-            return f"If one sample is lost, sigma is at least {below(self.lost)}."
+            return lost
         wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
         if self.sampled:
             return (
@@ -100,10 +101,13 @@ class SigmaDeviations(Record):
                 f"lost sample to {below(self.lost)}. None of this is proven."
             )
         return (
-            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {below(self.late)}, and "
-            f"over windows that are {wider} longer {below(self.late_wider)}. If one sample is lost, sigma is at least "
-            f"{below(self.lost)}."
+            f"If samples come {self.tolerance.describe(self.time_unit)}, {_at_least(self.late)}; over windows that are "
+            f"{wider} longer, {_at_least(self.late_wider)}. {lost}"
         )
+
+
+def _at_least(sigma: float) -> str:
+    return f"sigma is at least {below(sigma)}" if sigma > 0 else "no sigma above 0 is proven"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -130,7 +130,7 @@ class PlanStart(PlainRecord):
 
     def explain(self) -> str:
         """Say from when on the tolerances are kept."""
-        return f"Once the plan is started, {self.since()} ({above(self.ratio, 3)} of them)."
+        return f"Once the plan is started, {self.since()} ({above(self.ratio, 3)} of each)."
 
 
 def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:

@@ -63,7 +63,7 @@ def test_estimate_on_an_example_file_holds_the_truth(shell, tmp_path, name):
     )
     assert result.code == 0, result.err
     assert {p.name for p in tmp_path.iterdir()} == {"estimates.csv", "estimates.json", "estimates.png"}
-    assert "Guarantee for all schedules with gaps from" in " ".join(result.out.split())
+    assert "The guarantee is for all schedules with gaps from" in " ".join(result.out.split())
     assert "--initial-error not given: the plant's scales" in result.err
     assert "--w-bound" not in result.err
     assert (tmp_path / "estimates.png").read_bytes().startswith(b"\x89PNG")
@@ -95,7 +95,7 @@ def test_estimate_with_a_schedule_or_its_certificate_is_the_same(shell, tmp_path
     two = json.loads(shell("estimate", OSCILLATOR, readings, "--certificate", tmp_path / "c.json", *quiet).out)
     for key in ("x", "radii"):  # the rate that the command takes is 1/1.2 up to the rounding of the file's times
         assert np.array(two[key]) == pytest.approx(np.array(one[key]), rel=1e-9)
-    assert one["guarantee"] == "Guarantee for the schedule given."
+    assert one["guarantee"] == "The guarantee is for the schedule given."
     assert two["guarantee"].startswith("Guarantee of ")
 
 
@@ -335,7 +335,7 @@ def test_a_family_is_not_sought_in_passing_for_many_states(shell, tmp_path, monk
     result = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
     assert result.code == 0, result.err
     told = " ".join(f"{result.err} {result.out}".split())
-    assert "Guarantee for the file's own times only" in told
+    assert "The guarantee is for the file's own times only" in told
     assert "ask `certify --gap-range`: 2 states take it long" in told
 
 
@@ -346,7 +346,7 @@ def test_the_own_times_of_a_long_record_are_not_certified_in_passing(shell, tmp_
     monkeypatch.setattr("sampling_design.estimators.estimator_choice.OWN_SAMPLES", 4)
     long = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
     assert (short.code, long.code) == (0, 0)
-    assert "Guarantee for the file's own times only" in " ".join(short.out.split())
+    assert "The guarantee is for the file's own times only" in " ".join(short.out.split())
     assert (
         "the file's own 5 times (gaps from 0.5 to 3.2 s) are more than the 4 that are certified in passing"
         in " ".join(long.out.split())

@@ -148,7 +148,7 @@ def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
     assert "--w-bound not given: that of the plan, 0.02, is used." in heard
     assert "--v-bound not given: that of the plan, [0.2, 0.2], is used." in heard
     assert "--initial-error not given" not in heard
-    assert json.loads(found.out)["guarantee"] == "Guarantee for the schedule given."
+    assert json.loads(found.out)["guarantee"] == "The guarantee is for the schedule given."
     bounds = {**plan.error_bounds, "initial_error": 1.0}
     certificate = sd.certify(plan.plant, plan.schedule, eta=1 / plan.schedule.d_max, **bounds)
     own = sd.MovingHorizonEstimator(plan.plant, certificate, **bounds)

@@ -129,9 +129,23 @@ def test_no_result_is_forgotten(kind):
     assert {STEP.findall(path)[0] for path in paths} <= known
 
 
+TIMED = {"times", "period", "spacing", "window from", "until", "duration", "largest deviation", "worst times"}
+
+
+def check_units(found):
+    """Times have the unit of the plant, in tables and in sentences, and nothing is said to be at least zero."""
+    rows = [(label, value) for label, value in found._answered() + found._rows() if label in TIMED]
+    assert [row for row in rows if not re.search(r"[\d\])] s\b", row[1])] == []
+    assert (
+        re.findall(r"\b(?:horizon (?:is|of more than)|longer than|ends at) [\d.]+(?![\d.]| s\b)", found.explain()) == []
+    )
+    assert not re.search(r"at least 0(?!\.\d)", found.explain())
+
+
 @pytest.mark.parametrize("name", MADE)
 def test_five_things_stand_in_one_order(name):
     found = MADE[name]()
+    check_units(found)
     assert [key for key, value in vars(found).items() if getattr(value, "flags", None) and value.flags.writeable] == []
     assert [label for label, _ in found._answered()] == list(ANSWERS)
     said = dict(found._answered())

@@ -88,7 +88,8 @@ class FourHorizons(ListRecord[HorizonRow]):
 
     def explain(self) -> str:
         """Compare the four."""
-        known = [f"{row.name}: {above(row.minimum, 4)}" for row in self.rows if row.minimum is not None]
+        unit = self.certificate.plant.time_unit
+        known = [f"{row.name}: {above(row.minimum, 4)} {unit}" for row in self.rows if row.minimum is not None]
         return "The estimation horizon must be longer than the following. " + "; ".join(known) + "."
 
     def cells(self) -> list[list[str]]:

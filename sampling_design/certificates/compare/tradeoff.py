@@ -66,10 +66,14 @@ class TradeoffCurve(TableRecord):
 
     def explain(self) -> str:
         """Say what the curve trades."""
+        unit = self.certificates[0].plant.time_unit
+        if len(self.noise_gains) == 1:
+            given = f"With a noise gain of {short(self.noise_gains[0])} times its least value"
+            return f"{given} the horizon is {above(self.horizons[0])} {unit} and C_w = {above(self.C_w[0], 3)}."
         return (
             f"If the noise gain may be {short(self.noise_gains[-1])} instead of {short(self.noise_gains[0])} times its "
-            f"least value, the horizon falls from {above(self.horizons[0])} to {above(self.horizons[-1])}, and C_w "
-            f"rises from {above(self.C_w[0], 3)} to {above(self.C_w[-1], 3)}."
+            f"least value, the horizon falls from {above(self.horizons[0])} to {above(self.horizons[-1])} {unit}, "
+            f"and C_w rises from {above(self.C_w[0], 3)} to {above(self.C_w[-1], 3)}."
         )
 
 

@@ -83,10 +83,10 @@ class Existence(ExistenceAnswer, PlainRecord):
     _answers = (
         "whether some certificate of that rate exists on the schedule: {exists}",
         "proven: the modes that do not decay at that rate decide it, up to rounding",
-        "{margin:3} from the answer no",
+        "margin {margin:3}; 0 would be the answer no",
         "`certify` finds one where it exists",
     )
-    _table = {"period": "{period}", "reason": "{reason}"}
+    _table = {"reason": "{reason}"}
 
     def explain(self) -> str:
         """Say why."""

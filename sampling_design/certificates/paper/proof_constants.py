@@ -95,7 +95,8 @@ class PaperConstants(PlainRecord):
         """Say what the proof's constants ask for."""
         return (
             f"With the constants of the proof ({self.variant}) the estimator needs a horizon of more than "
-            f"{above(self.horizon)} {self.plant.time_unit} (lambda = {above(self.lam)}, eta = {below(self.eta)})."
+            f"{above(self.horizon)} {self.plant.time_unit} (lambda = {above(self.lam)}, "
+            f"eta = {below(self.eta)} 1/{self.plant.time_unit})."
         )
 
 

@@ -88,7 +88,7 @@ class EstimateCounts:
     def explain(self) -> str:
         """Say how many estimates there are and what they promise."""
         failed = sum(count for status, count in self.status.items() if status in FAILURES)
-        trouble = f" {failed} failed; their notes say why." if failed else ""
+        trouble = f" {failed} failed; {'its note says' if failed == 1 else 'their notes say'} why." if failed else ""
         for said in self._contradicted():
             trouble += f" The data contradict the bounds: {said}."
         where = ", each in the middle of what data and bounds allow" * self.moved

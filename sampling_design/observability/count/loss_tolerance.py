@@ -111,9 +111,8 @@ class LossTolerance(PlainRecord):
         )
         if self.hidden_times.size:
             spent = counted(self.periods, "period")
-            listed = ", ".join(moment(t, self.hidden_times) for t in self.hidden_times[:6]) + ", ..." * (
-                self.hidden_times.size > 6
-            )
+            listed = ", ".join(moment(t, self.hidden_times) for t in self.hidden_times[:6])
+            listed += ", ..." * (self.hidden_times.size > 6) + f" {self.time_unit}"
             words += (
                 f" Of {round(self.density * self.periods * self.period)} samples in {spent} those at {listed} may all "
                 f"miss one direction; no schedule as dense tolerates {self._limit()}."

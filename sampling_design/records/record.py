@@ -217,6 +217,8 @@ class ListRecord(Record, Generic[Listed]):
     def to_frame(self) -> DataFrame:
         """Return the rows as a pandas DataFrame (extra `dataframes`), indexed by the first column, in physical units.
 
+        For polars: `polars.DataFrame(record.to_frame().reset_index().to_dict("list"))`.
+
         Raises
         ------
         MissingExtraError

@@ -121,7 +121,7 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
             return "No samples needed." if needless else "None of the counts can be met."
         left = "" if good[-1].deviations is None else good[-1].deviations.explain()
         if len(good) == 1:
-            return f"{counted(good[0].samples, 'sample')} per period: sigma {short(good[0].sigma)}.{left and ' '}{left}"
+            return f"{counted(good[0].samples, 'sample')} per period: sigma {below(good[0].sigma)}.{left and ' '}{left}"
         return (
             f"From {good[0].samples} to {good[-1].samples} samples per period sigma grows from "
             f"{below(good[0].sigma)} to {below(good[-1].sigma)}."

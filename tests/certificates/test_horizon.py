@@ -170,7 +170,10 @@ def test_four_horizons_stand_in_order(plant, chain):
     assert table.radius < 1
     assert table.to_markdown().count("\n") == 6
     assert "exact, improved" in table.to_latex()
-    assert f"paper's constants: {above(minima[0], 4)}; exact, Theorem 9: {above(minima[1], 4)}; " in table.explain()
+    said = [f"{above(value, 4)} s" for value in minima]
+    assert f"paper's constants: {said[0]}; exact, Theorem 9: {said[1]}; " in table.explain()
+    assert f" improved: {said[2]}. In doubles the error map contracts from {said[3]}" in table.explain()
+    assert f"more than {said[2]} is proven" in repr(table)  # the yardstick bounds nothing
     assert "M >" in str(table)
 
 

@@ -60,7 +60,7 @@ class FourHorizons(ListRecord[HorizonRow]):
 
     _answers = (
         "horizons that four ways of proof ask for",
-        "proven: each by the theorem that it names",
+        "proven: each by the theorem that it names, but the true contraction, a yardstick in doubles",
         "{_good}",
         "`.certificate.verify()`",
     )
@@ -70,10 +70,9 @@ class FourHorizons(ListRecord[HorizonRow]):
         return self.rows
 
     def _good(self) -> str:
-        known = [row.minimum for row in self.rows if row.minimum is not None]
-        return (
-            f"the shortest is {above(min(known), 4)} {self.certificate.plant.time_unit}" if known else "none is known"
-        )
+        known = [row.minimum for row in self.rows if row.minimum is not None and row.horizon is not None]
+        unit = self.certificate.plant.time_unit
+        return f"more than {above(min(known), 4)} {unit} is proven to be enough" if known else "none is proven"
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit
@@ -89,8 +88,13 @@ class FourHorizons(ListRecord[HorizonRow]):
     def explain(self) -> str:
         """Compare the four."""
         unit = self.certificate.plant.time_unit
-        known = [f"{row.name}: {above(row.minimum, 4)} {unit}" for row in self.rows if row.minimum is not None]
-        return "The estimation horizon must be longer than the following. " + "; ".join(known) + "."
+        *proven, true = self.rows
+        known = [f"{row.name}: {above(row.minimum, 4)} {unit}" for row in proven if row.minimum is not None]
+        text = f"A horizon is proven to be long enough if it is longer than one of these: {'; '.join(known)}."
+        if true.minimum is not None:
+            at = f"{above(true.minimum, 4)} {unit}"
+            text += f" In doubles the error map contracts from {at} on, a yardstick and no bound."
+        return text
 
     def cells(self) -> list[list[str]]:
         """The table's rows as text: name, source, M >, C_x, C_w, C_v."""

@@ -103,7 +103,7 @@ ROWS = (
     ),
     (
         rf"position can be known within {NUMBER}, and no estimator can guarantee less than {NUMBER}",
-        researcher(rf"guarantees x1 within {NUMBER}, .*? less than \[{NUMBER},"),
+        researcher(rf"guarantees x1 within {NUMBER} \(none less than {NUMBER}\)"),
     ),
     (r"no estimator can guarantee less than .*\n\| `validate` \| (\d+) proven bounds", researcher(PROMISES)),
 )

@@ -115,7 +115,8 @@ def plant_along(plant: NonlinearPlant, x0: npt.ArrayLike, duration: float, u: np
         If the trajectory cannot be followed.
     """
     x0 = checks.vector("x0", x0, plant.n_states)
-    control = checks.vector("u", np.zeros(plant.n_inputs) if not np.size(u) else u, plant.n_inputs)
+    given = checks.floats("u", u)
+    control = checks.vector("u", given if given.size else np.zeros(plant.n_inputs), plant.n_inputs)
     end, scale = checks.positive("duration", duration), plant.states.scales
     still = np.zeros(plant.n_disturbances)
 

@@ -53,6 +53,8 @@ FOUND = (
     ("Plant", {"name": "half a letter"}),
     ("NonlinearPlant.linearise", {"u": "0-d array"}),
     ("error_map", {"horizon": "0"}),
+    ("plant_along", {"u": "ragged"}),
+    ("ConvexSet.ball", {"centre": "ragged"}),
 )
 """Calls that were raw once, found by seeds 90101 to 90104, 91001 to 91030 and 501 to 503."""
 

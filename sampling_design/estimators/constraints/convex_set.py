@@ -127,7 +127,7 @@ class ConvexSet(Record):
         elif dimension is None and centre is None:
             raise ArgumentError("`dimension` must be given for a ball without `centre` and `shape`.")
         else:
-            k = np.size(np.asarray(centre)) if dimension is None else checks.whole("dimension", dimension, 1)
+            k = checks.floats("centre", centre).size if dimension is None else checks.whole("dimension", dimension, 1)
             E = checks.freeze(np.eye(k))
         middle = checks.vector("centre", np.zeros(k) if centre is None else centre, k)
         whole = np.full(k, np.inf)

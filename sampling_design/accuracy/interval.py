@@ -16,7 +16,7 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
 from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
-from sampling_design.accuracy.undetectable import modes_with
+from sampling_design.accuracy.undetectable import OTHER_STATES, modes_with
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.count.pbh import unobservable_modes
@@ -334,7 +334,8 @@ class Interval(TableRecord, PlainRecord):
         plain = int(np.count_nonzero(~read.below))
         if plain < n:
             return f"{counted(plain, 'reading')} (limits do not count) for {counted(n, 'state')}"
-        return "these readings may not determine it, or rounding in these coordinates hides that they do"
+        hidden = f"rounding in these coordinates hides that they do. {OTHER_STATES[:-1]}"
+        return f"these readings may not determine it, or {hidden}"
 
     @property
     def notice(self) -> str:

@@ -11,10 +11,11 @@ import numpy as np
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch
-from sampling_design.accuracy.undetectable import GOLDEN, DetectablePart, known_part
+from sampling_design.accuracy.undetectable import GOLDEN, OTHER_STATES, DetectablePart, known_part, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import forced_flow
+from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
@@ -159,7 +160,8 @@ def accuracy_limit(
     ArgumentError
         If a bound is missing or of another shape, zones are not in order, or one of `zones` and `period` is missing.
     UndecidedError
-        If disturbances are so weak, or `zones` so far apart, that no adversary can be followed in doubles.
+        If disturbances are so weak, or `zones` so far apart, that no adversary can be followed in doubles, or where
+        rounding in nearly dependent states hides what outputs show.
 
     Notes
     -----
@@ -200,7 +202,7 @@ def accuracy_limit(
             except UndecidedError:
                 raise UndecidedError(
                     "undecided: the disturbances are so weak beside the noise, or what is not measured grows so far "
-                    "between allowed times, that the adversary cannot be followed in doubles."
+                    f"between allowed times, that the adversary cannot be followed in doubles. {OTHER_STATES}"
                 ) from None
         witness = witnesses[k]
         lower[k] = 0.0 if witness is None else witness.value
@@ -234,11 +236,20 @@ def _time_constant(plant: Plant) -> float:
 
 
 def _known(plant: Plant) -> DetectablePart:
-    """The plant without what not even continuous measurement shows."""
+    """The plant without what not even continuous measurement shows.
+
+    Raises UndecidedError where this takes a mode for hidden that the outputs show, up to rounding of A and C.
+    """
     length = 0.1 * _time_constant(plant)
     count = 3 * plant.n_states
     times = length * (np.arange(count) / count) ** GOLDEN
-    return known_part(plant, times, length, [np.arange(plant.n_outputs)] * count)
+    found = known_part(plant, times, length, [np.arange(plant.n_outputs)] * count)
+    if found.modes and not unobservable_modes(plant):
+        raise UndecidedError(
+            "undecided: rounding in the coordinates of this plant hides that its outputs show "
+            f"{modes_with(found.modes)}. {OTHER_STATES}"
+        )
+    return found
 
 
 def _nodes(allowed: Array | None, period: float, step: float) -> tuple[Array, float]:

@@ -12,6 +12,7 @@ from functools import reduce
 
 import numpy as np
 
+from sampling_design.accuracy.undetectable import OTHER_STATES
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, largest_first, root_update, triangle
 from sampling_design.records.arrays import Array
@@ -116,7 +117,7 @@ class RootedPeriod:
                 return after
         raise UndecidedError(
             "undecided: the covariance of the filter on this schedule does not settle in doubles. Do modes grow far "
-            "between two samples, or do outputs differ in almost nothing?"
+            f"between two samples, or do outputs differ in almost nothing? {OTHER_STATES}"
         )
 
 

@@ -187,6 +187,12 @@ def unobservable_directions(H: Array) -> Array:
     return np.asarray(right[np.count_nonzero(values > HIDDEN) :].T)
 
 
+OTHER_STATES = (
+    "Where states nearly depend on each other, give the plant in other states z, x = T z, and ask for x by `of=T`."
+)
+"""What helps where rounding in the coordinates of a plant hides what its outputs show."""
+
+
 def modes_with(eigenvalues: tuple[str, ...]) -> str:
     """Return "the mode with eigenvalue 0.1", "the modes with eigenvalues 0+1i, 0-1i"."""
     what = "the mode with eigenvalue" if len(eigenvalues) == 1 else "the modes with eigenvalues"

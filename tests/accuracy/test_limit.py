@@ -146,3 +146,37 @@ def test_a_spent_budget_leaves_what_was_attained_and_says_so():
     assert "budget" in spent.explain()
     assert "budget" not in whole.explain()
     assert "ended by its budget" in str(spent)
+
+
+MODES = sd.Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.0], [0.0, 0.0, 0.05]], [[1.0, 0.0, 1.0]])
+
+
+def nearly_dependent(condition):
+    """T of that condition number."""
+    rng = np.random.default_rng(int(np.log10(condition)))
+    first, second = (np.linalg.qr(rng.standard_normal((3, 3)))[0] for _ in range(2))
+    return first * np.geomspace(1.0, condition, 3) @ second
+
+
+@pytest.mark.parametrize(
+    ("condition", "why"),
+    [
+        (1e4, "that the adversary cannot be followed in doubles"),
+        (1e6, "that the adversary cannot be followed in doubles"),
+        (1e7, "rounding in the coordinates of this plant hides that its outputs show the modes? with"),
+    ],
+)
+def test_states_that_nearly_depend_on_each_other_have_no_wrong_limit(condition, why):
+    """Of x = T z, where outputs show every mode up to rounding: it is not infinite."""
+    T = nearly_dependent(condition)
+    same = sd.Plant(T @ MODES.A @ np.linalg.inv(T), MODES.C @ np.linalg.inv(T), G=T)
+    assert not sd.observability.unobservable_modes(same)
+    with pytest.raises(UndecidedError, match=rf"{why}.*give the plant in other states z, x = T z, and ask for x by"):
+        sd.accuracy.accuracy_limit(same, w_bound=0.1, v_bound=0.1)
+
+
+@pytest.mark.long
+def test_rows_of_other_states_have_the_limit_that_nearly_dependent_ones_have_not():
+    found = sd.accuracy.accuracy_limit(MODES, w_bound=0.1, v_bound=0.1, of=nearly_dependent(1e7))
+    assert found.verify()
+    assert np.all((found.lower > 0) & np.isfinite(found.lower))

@@ -210,34 +210,29 @@ class Frame:
             loose[k] = 2 * wrong + 2 * problem.loose * float(np.linalg.norm(back)) ** 2
         return rows, lost, loose
 
-    @property
-    def growth(self) -> tuple[float, float]:
-        """alpha and mu of `rates`."""
-        return self.rates[0]
-
-    @property
-    def skew(self) -> float:
-        """k of `rates`."""
-        return self.rates[1]
-
     @cached_property
     def drive(self) -> float:
         """A bound of the largest eigenvalue of S."""
         return float(largest(self.S) + size(self.wrong_S))
 
     @cached_property
-    def rates(self) -> tuple[tuple[float, float], float]:
+    def rates(self) -> tuple[float, float, float]:
         """alpha, mu >= 0 and k with |e^{As}| <= min(k e^{alpha s}, e^{mu s})."""
         lost = float(size(self.wrong_A) + 8 * self.n * EPS * size(self.A))
         mu = max(float(np.linalg.eigvalsh(self.A + self.A.T)[-1]) / 2 + lost, 0.0)
         poles, modes = np.linalg.eig(self.A)
         skew = float(np.linalg.cond(modes))
         if not skew < 1e12:
-            return (mu, mu), 1.0
+            return mu, mu, 1.0
         # A = modes diag(poles) modes^-1 + a remainder, which moves the rate by k times its norm at most
         remainder = np.linalg.solve(modes, self.A @ modes) - np.diag(poles)
         moved = float(np.linalg.norm(remainder)) + skew * lost
-        return (max(float(poles.real.max()) + moved, 0.0), mu), skew * (1 + 1e-3)
+        return max(float(poles.real.max()) + moved, 0.0), mu, skew * (1 + 1e-3)
+
+    def growth(self, step: Array) -> Array:
+        """ln of a bound of |e^{As}| for all s up to a step."""
+        alpha, mu, k = self.rates
+        return np.asarray(np.minimum(np.log(k) + alpha * step, mu * step))
 
     @cached_property
     def split(self) -> Split | None:
@@ -335,13 +330,12 @@ class Frame:
         second = self.square @ Y + 2 * self.A @ Y @ self.A.T + Y @ self.square.T + self.bend
         y = np.abs(Y)
         lost = 2 * size(self.wrong_square @ y) + 4 * size(self.wrong @ y @ self.sizes.T) + self.wrong_bend
-        rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
-        flow = np.exp(np.minimum(rate, 300)) * (1 + 1e-6)
+        flow = np.exp(np.minimum(self.growth(step), 300)) * (1 + 1e-6)
         return np.asarray((step * flow) ** 2 / 8 * (size(second) + lost))
 
     def risen_to(self, top: Array, step: Array) -> Array:
         """A bound of the largest eigenvalue along steps from Y <= `top` I on: e^{2 mu d} (top + d |S|)."""
-        grown = np.exp(np.minimum(2 * self.growth[1] * step, 600)) * (1 + 1e-6)
+        grown = np.exp(np.minimum(2 * self.rates[1] * step, 600)) * (1 + 1e-6)
         return np.asarray(grown * (top + step * self.drive))
 
     def invariant_bound(self) -> float | None:
@@ -373,8 +367,7 @@ class Frame:
     def carried(self, N: Array, step: Array) -> Array:
         """A matrix that stays above e^{As} N e^{A's}, N psd, for all s up to the step: N itself where that is short."""
         total = np.einsum("...ii->...", N)
-        rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
-        grown = np.exp(np.minimum(2 * rate, 600)) * (1 + 1e-6)
+        grown = np.exp(np.minimum(2 * self.growth(step), 600)) * (1 + 1e-6)
         near = np.expm1(np.minimum(2 * self.speed * step, 600)) * (1 + 1e-6)
         short = near < grown
         rest = np.where(short, near, grown) * total

@@ -135,16 +135,6 @@ def prove(c: Inclusion, work: WorkLimit | None = None) -> Verdict:
 # --- flow ------------------------------------------------------------------------------------------------------------
 
 
-def pieces(c: Inclusion, P: Array) -> tuple[Array, Array, Array, Array]:
-    """P at both ends of every piece, its slope there, the size of the slope's terms, and tau."""
-    i, j = c.pieces, c.pieces + 1
-    h = (c.nodes[j] - c.nodes[i])[:, None, None]
-    slope, size = (P[j] - P[i]) / h, (np.abs(P[j]) + np.abs(P[i])) / h
-    both = np.stack([P[i], P[j]], axis=1).reshape(-1, *P.shape[1:])
-    taus = np.stack([c.nodes[i], c.nodes[j]], axis=1).ravel()
-    return both, np.repeat(slope, 2, axis=0), np.repeat(size, 2, axis=0), taus
-
-
 def flow_block(P: Array, slope: Array | float, M: Array, Q: Array, eta: float, sign: int = -1) -> Array:
     """[[s (P' + A'P + PA + eta P), s PG], [s G'P, Q]], s = -1, for stacks of P and of M = (A, G) side by side.
 
@@ -165,10 +155,15 @@ def bordered(corner: Array, side: Array, rest: Array) -> Array:
 
 
 class Flow:
-    """The matrices of 1 at both ends of every piece."""
+    """The matrices of 1 at both ends of every piece: P and tau there, its slope, and the size of the slope's terms."""
 
-    def __init__(self, c: Inclusion, P: Array, slope: Array, size: Array, taus: Array, Qw: Array) -> None:
-        self.c, self.P, self.slope, self.size, self.taus, self.Qw = c, P, slope, size, taus, Qw
+    def __init__(self, c: Inclusion, P: Array, Qw: Array) -> None:
+        i, j = c.pieces, c.pieces + 1
+        h = (c.nodes[j] - c.nodes[i])[:, None, None]
+        self.c, self.Qw, self.P = c, Qw, np.stack([P[i], P[j]], axis=1).reshape(-1, *P.shape[1:])
+        self.taus = np.stack([c.nodes[i], c.nodes[j]], axis=1).ravel()
+        self.slope = np.repeat((P[j] - P[i]) / h, 2, axis=0)
+        self.size = np.repeat((np.abs(P[j]) + np.abs(P[i])) / h, 2, axis=0)
 
     def forms(self, M: Array, E: Array, more: Array | float = 0.0) -> tuple[Array, Array, Array]:
         """The matrices for (A, G) side by side, known to within E: ends of pieces for each M (K, n, n + q).
@@ -199,7 +194,7 @@ class Flow:
 
 def flows(c: Inclusion, P: Array, Qw: Array, work: WorkLimit) -> float:
     """Prove 1; return the least slack."""
-    flow = Flow(c, *pieces(c, P), Qw)
+    flow = Flow(c, P, Qw)
     if c.multipliers is not None:
         return multiplied(c, flow)
     slack = at_corners(joint(c), flow)
@@ -251,16 +246,16 @@ def multiplied(c: Inclusion, flow: Flow) -> float:
     try:
         return least(f"{FLOW} with multipliers", full, bordered(terms + top, sides, corner), flow.taus, radius)
     except Refused as error:  # the multipliers fail, which says nothing of the members: is there one that does?
-        broken(c, flow.P, flow.slope, flow.size, flow.taus, flow.Qw)
+        broken(c, flow)
         reason = f"{FLOW} could not be decided: these multipliers do not prove it"
         raise Undecided(FLOW, reason, error.amount, error.time) from None
 
 
-def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw: Array) -> None:
+def broken(c: Inclusion, flow: Flow) -> None:
     """Refused at a corner of a box where 1 fails, sought by turns of the worst direction and the signs it asks for."""
     assert c.model.kind == "box"
     n, acting = c.plant.n, tuple(each for each in c.model.parameters if each.low < each.high)
-    flow, parts = Flow(c, both, slope, size, taus, Qw), np.array([np.hstack([each.A, each.G]) for each in acting])
+    parts = np.array([np.hstack([each.A, each.G]) for each in acting])
     ends = np.array([[each.low - each.nominal, each.high - each.nominal] for each in acting])
     found = Members(np.hstack([c.plant.A, c.plant.G]), parts, np.zeros((0, len(acting))), c.model, acting)
     point = ends.mean(axis=1)
@@ -270,7 +265,7 @@ def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw
         values, vectors = np.linalg.eigh(form / d[:, :, None] / d[:, None, :])
         k = int(np.argmin(values[:, 0]))
         v = vectors[k, :, 0] / d[k]
-        gains = -2 * np.einsum("i,dij,j->d", both[k] @ v[:n], parts, v)
+        gains = -2 * np.einsum("i,dij,j->d", flow.P[k] @ v[:n], parts, v)
         other = np.where(gains > 0, ends[:, 0], ends[:, 1])
         if np.array_equal(other, point):
             break

@@ -15,7 +15,7 @@ import numpy as np
 from . import programs
 from .family_file import Edge, Family, GapRange, Graph, Jitter, edge_of, family_of, fitting
 from .half_spaces import holds_a_point
-from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, symmetric, weights_of
+from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, shaped, symmetric, weights_of
 from .programs import Program
 from .schedule_file import times_of
 from .strict import (
@@ -123,17 +123,11 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Jumps:
-    """Samples that are proven: at node `later` of P(tau) the next word begins, at its node `base`; what is measured."""
-
-    later: Index
-    base: Index
-    measured: Mask
-
-
-@dataclass(frozen=True)
 class Inclusion:
-    """A file of claim "inclusion": P(tau) of each word, one after the other, linear between `nodes`."""
+    """A file of claim "inclusion": P(tau) of each word, one after the other, linear between `nodes`.
+
+    Samples that are proven: at node `later` the next word begins, at its node `base`, with what is `measured`.
+    """
 
     plant: Plant
     weights: Weights
@@ -142,7 +136,9 @@ class Inclusion:
     graph: Graph
     nodes: Array
     P: Array
-    jumps: Jumps
+    later: Index
+    base: Index
+    measured: Mask
     multipliers: Array | None
 
     @property
@@ -178,7 +174,7 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
         raise refuse("P", f"must hold one matrix per node, {nodes.size}, got {len(read['P'])}")
     P = np.array([symmetric(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
     model, jumps = model_of(read["model"], plant), jumps_of(graph, nodes, starts, len(plant.C))
-    found = Inclusion(plant, weights, model, family, graph, nodes=nodes, P=P, jumps=jumps, multipliers=None)
+    found = Inclusion(plant, weights, model, family, graph, nodes, P, *jumps, multipliers=None)
     return found if read["multipliers"] is None else with_multipliers(found, read["multipliers"])
 
 
@@ -208,8 +204,10 @@ def graph_of(stated: list[list[float]] | None, listed: list[list[object]], famil
     return Graph(words, tuple(edges), ())
 
 
-def jumps_of(graph: Graph, nodes: Array, starts: Index, outputs: int) -> Jumps:
-    """All samples to be proven: at every node within an edge, and at the end of a first gap that no longer one holds.
+def jumps_of(graph: Graph, nodes: Array, starts: Index, outputs: int) -> tuple[Index, Index, Mask]:
+    """Later, base and measured of all samples to be proven.
+
+    These are at every node within an edge, and at the end of a first gap that no longer one holds.
 
     Before its first sample a schedule is so far in a gap that it ends as that sample comes: only its end counts.
     """
@@ -231,7 +229,7 @@ def jumps_of(graph: Graph, nodes: Array, starts: Index, outputs: int) -> Jumps:
         for node in at[(nodes[at] >= low) & (nodes[at] <= edge.high)].tolist():
             found[node, int(starts[edge.target - skip]), edge.outputs] = None
     later, base, measured = zip(*found, strict=True) if found else ((), (), ())
-    return Jumps(np.array(later, int), np.array(base, int), np.array(measured, bool).reshape(len(later), outputs))
+    return np.array(later, int), np.array(base, int), np.array(measured, bool).reshape(len(later), outputs)
 
 
 def with_multipliers(c: Inclusion, read: list[list[list[float]]]) -> Inclusion:
@@ -269,16 +267,9 @@ def model_of(value: object, plant: Plant) -> Box | Vertices | Region:
     if not count or any(len(read[key]) != count for key in shapes):
         raise refuse("model", "must list as many A as C and G, at least one")
     stacks = {
-        key: [shaped(M, f"model.{key}[{k}]", size) for k, M in enumerate(read[key])] for key, size in shapes.items()
+        key: [shaped(M, f"model.{key}[{k}]", *size) for k, M in enumerate(read[key])] for key, size in shapes.items()
     }
     return Vertices(**{key: np.array(stack) for key, stack in stacks.items()})
-
-
-def shaped(M: Array, place: str, shape: tuple[int, ...]) -> Array:
-    """The matrix, if it has that shape."""
-    if M.shape != shape and (M.size or np.prod(shape)):
-        raise refuse(place, f"must have shape {shape}, got {M.shape}")
-    return M.reshape(shape)
 
 
 def parameter(value: object, place: str, plant: Plant) -> Parameter:
@@ -288,7 +279,7 @@ def parameter(value: object, place: str, plant: Plant) -> Parameter:
         raise refuse(place, "must have low <= nominal <= high")
     shapes = {"A": plant.A.shape, "C": plant.C.shape, "G": plant.G.shape}
     parts = {
-        key: shaped(read[key], f"{place}.{key}", size) if key in read else np.zeros(size)
+        key: shaped(read[key], f"{place}.{key}", *size) if key in read else np.zeros(size)
         for key, size in shapes.items()
     }
     if not read["name"] or not any(M.any() for M in parts.values()):

@@ -191,11 +191,11 @@ def of_some(X: Array, measured: Mask) -> Array:
 def prove_jumps(c: Inclusion, P: Array, Rt: Array, work: WorkLimit) -> float:
     """Prove all of them; return the least slack."""
     slack = 1.0
-    for pattern in sorted(set(map(tuple, c.jumps.measured.tolist()))):
+    for pattern in sorted(set(map(tuple, c.measured.tolist()))):
         measured = np.array(pattern, bool)
-        at = np.flatnonzero((c.jumps.measured == measured).all(axis=1))
-        later, base = P[c.jumps.later[at]], P[c.jumps.base[at]]
-        jump = Jump(later - base, np.abs(later) + np.abs(base), c.nodes[c.jumps.later[at]], of_some(Rt, measured))
+        at = np.flatnonzero((c.measured == measured).all(axis=1))
+        later, base = P[c.later[at]], P[c.base[at]]
+        jump = Jump(later - base, np.abs(later) + np.abs(base), c.nodes[c.later[at]], of_some(Rt, measured))
         if not measured.any():
             slack = min(slack, least(f"{JUMP} without C'R~C", jump.gained, jump.sizes, jump.taus))
         else:

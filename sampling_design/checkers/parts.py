@@ -155,7 +155,7 @@ def plant_of(read: Tree) -> Plant:
     if "time_unit" not in read:
         raise refuse("plant.time_unit", "is missing")
     n, p = len(m["A"]), len(m["C"])
-    A, C, G = sized(m["A"], "plant.matrices.A", n), m["C"], m.get("G", np.eye(n))
+    A, C, G = shaped(m["A"], "plant.matrices.A", n, n), m["C"], m.get("G", np.eye(n))
     if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
         raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
     signals_of(read, n, p, G.shape[1])
@@ -215,16 +215,16 @@ def misnamed(rows: Array, called: Labels, C: Array, states: Labels, outputs: Lab
     return None
 
 
-def sized(M: Array, place: str, size: int) -> Array:
-    """The matrix, if it is of that size."""
-    if M.shape != (size, size) and (M.size or size):
-        raise refuse(place, f"must have shape {(size, size)}, got {M.shape}")
-    return M.reshape(size, size)
+def shaped(M: Array, place: str, *shape: int) -> Array:
+    """The matrix, if it has that shape; one without entries says no more."""
+    if M.shape != shape and (M.size or np.prod(shape)):
+        raise refuse(place, f"must have shape {shape}, got {M.shape}")
+    return M.reshape(shape)
 
 
 def symmetric(M: Array, place: str, size: int) -> Array:
     """The matrix, if it is of that size and symmetric but for rounding."""
-    M = sized(M, place, size)
+    M = shaped(M, place, size, size)
     d = np.sqrt(np.abs(np.diag(M)))
     if np.any(np.abs(M / 2 - M.T / 2) > SKEW / 2 * d * d[:, None]):
         raise refuse(place, "must be symmetric")

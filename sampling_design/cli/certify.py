@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -107,7 +106,9 @@ def certify(
         raise ArgumentError("`--horizons` compares those of one SCHEDULE: it goes without a family or --detectability.")
     bounds = typed.of(plant)
     if detectability:
-        _refuse_samples(schedule_file, families)
+        if schedule_file is not None or families:
+            other = "a SCHEDULE file" if schedule_file is not None else f"`--{next(iter(families))}`"
+            raise ArgumentError(f"`--detectability` is about the plant alone and goes without {other}.")
         if any(bound is not None for bound in bounds.values()):
             raise ArgumentError("`--detectability` has weights of its own and goes without bounds.")
         _detectability(settings, plant, certificate_file, eta, noise_gain)
@@ -138,12 +139,6 @@ def certify(
         notes.append(f"Next: sampling-design verify {made}")
         notes.append(f"Next: sampling-design estimate {plant_file} MEASUREMENTS.csv --certificate {made} -o {folder}")
     settings.show(certificate.to_dict(), record_table(certificate), *notes)
-
-
-def _refuse_samples(schedule: Path | None, families: Mapping[str, object]) -> None:
-    if schedule is not None or families:
-        other = "a SCHEDULE file" if schedule is not None else "`--" + next(iter(families)) + "`"
-        raise ArgumentError(f"`--detectability` is about the plant alone and goes without {other}.")
 
 
 def _detectability(

@@ -73,15 +73,8 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
     late = result.known_from[k]
     if late > profile.edges[0]:
         one.axvspan(profile.edges[0], late, color=style.ALLOWED, alpha=0.3, linewidth=0)
-        low = ("data", "axes fraction")
-        one.annotate(
-            "unknown",
-            (profile.edges[0], 0.0),
-            xycoords=low,
-            xytext=(4, 4),
-            textcoords="offset points",
-            fontsize="small",
-        )
+        where, points = ("data", "axes fraction"), "offset points"
+        one.annotate("unknown", (profile.edges[0], 0.0), (4, 4), where, points, fontsize="small")
     in_range = [lower, upper] if tolerance is None else [lower, upper, np.array([tolerance])]
     if result.deviation is not None and np.isfinite(result.deviation.worst[k]):
         curve = result.deviation.profile[k]

@@ -43,23 +43,12 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
 
 
 def _radii(result: Robustness, ax: Axes) -> Axes:
-    good = [t for t in result.trials if t.survives]
-    bad = [t for t in result.trials if not t.survives]
-    ax.plot(
-        [t.family.timing_tolerance for t in good],
-        [t.lam for t in good],
-        "o-",
-        color=style.PROVEN,
-        label="survives, proven",
-    )
-    if bad:
-        ax.plot(
-            [t.family.timing_tolerance for t in bad],
-            _heights(result, [t.lam for t in bad]),
-            "x",
-            color=style.FAILED,
-            label="not proven",
-        )
+    kinds = ((True, "o-", style.PROVEN, "survives, proven"), (False, "x", style.FAILED, "not proven"))
+    for survives, mark, colour, words in kinds:
+        some = [t for t in result.trials if t.survives == survives]
+        if some:
+            radii, heights = [t.family.timing_tolerance for t in some], _heights(result, [t.lam for t in some])
+            ax.plot(radii, heights, mark, color=colour, label=words)
     _limit(result, ax)
     ax.axvline(result.radius, color=style.PROVEN, linewidth=1.0)
     ax.set_xlabel(style.time_label(result.certificate.plant.time_unit, "timing error of every sample"))
@@ -74,9 +63,7 @@ def _losses(result: Robustness, ax: Axes) -> Axes:
         for loss, height in zip(mine, heights, strict=True):
             colour = style.PROVEN if loss.survives else style.FAILED
             ax.plot([loss.family.of], [height], "o" if loss.survives else "x", color=colour)
-            ax.annotate(
-                f"{d} lost", (loss.family.of, height), xytext=(5, 3), textcoords="offset points", fontsize="small"
-            )
+            style.note(ax, f"{d} lost", (loss.family.of, height), (5, 3))
     _limit(result, ax)
     ax.set_xlim(1, max((loss.family.of for loss in result.losses), default=2) + 1)
     ax.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
@@ -118,11 +105,9 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
         certificate.min_gap, certificate.d_max, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come"
     )
     style.time_axis(ax, certificate.plant.time_unit, "time since the last sample")
-    ax.set_ylabel("information relative to P1")
     plant, longest = certificate.plant, short(certificate.d_max, 4)
-    ax.set_title(f"{plant.name or 'plant'}: proven for gaps up to {longest} {plant.time_unit}", loc="left")
-    style.legend(ax, 2)
-    return ax
+    title = f"{plant.name or 'plant'}: proven for gaps up to {longest} {plant.time_unit}"
+    return style.finished(ax, "information relative to P1", title, 2)
 
 
 _COLOURS = (style.PROVEN, style.PROVEN, style.PROVEN, style.ATTAINED)  # the last is reached, the others are bounds
@@ -146,10 +131,8 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     ax.vlines(curve.samples, low, low * (high / low) ** 0.05, color=style.TRUTH, linewidth=1.0, label="samples")
     least.set_label(f"least: {short(curve.least[at], 5)} at {style.moment(ax, curve.t[at], curve.time_unit)}")
     style.time_axis(ax, curve.time_unit, f"time, window from {style.moment(ax, curve.start, curve.time_unit)}")
-    ax.set_ylabel("least information relative to P1")
-    ax.set_title("the information of a window never falls below P1", loc="left")
-    style.legend(ax)
-    return ax
+    title = "the information of a window never falls below P1"
+    return style.finished(ax, "least information relative to P1", title)
 
 
 def draw_tradeoff(curve: TradeoffCurve, ax: Axes | None = None) -> Axes:
@@ -160,14 +143,12 @@ def draw_tradeoff(curve: TradeoffCurve, ax: Axes | None = None) -> Axes:
         label = f"at most {short(stated, 4)} times the least"
         side = gain > np.sqrt(min(curve.C_v) * max(curve.C_v))  # what is written stays within the picture
         place, ends = ((-5, -12), "right") if side else ((5, 4), "left")
-        ax.annotate(label, (gain, horizon), xytext=place, ha=ends, textcoords="offset points", fontsize="small")
+        style.note(ax, label, (gain, horizon), place, ha=ends)
     ax.margins(x=0.15, y=0.15)  # room for what is written beside the dots
     style.plain_numbers(ax.xaxis)
     ax.set_xlabel("noise gain C_v")
-    ax.set_ylabel(f"least horizon [{curve.certificates[0].plant.time_unit}]")
-    ax.set_title("a shorter horizon has a larger noise gain", loc="left")
-    style.legend(ax)
-    return ax
+    ylabel = f"least horizon [{curve.certificates[0].plant.time_unit}]"
+    return style.finished(ax, ylabel, "a shorter horizon has a larger noise gain")
 
 
 def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = None) -> Axes:
@@ -222,14 +203,7 @@ def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
         at = max(factor * row.minimum, 1e-12)
         ax.hlines(k, low, at, color=style.ALLOWED, linewidth=0.8, linestyle=":")
         ax.plot([at], [k], "o", color=colour, markersize=9)
-        ax.annotate(
-            above(factor * row.minimum, 4),
-            (at, k),
-            xytext=(9, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize="small",
-        )
+        style.note(ax, above(factor * row.minimum, 4), (at, k), (9, 0), va="center")
     ax.set_yticks(range(len(horizons.rows)), [row.name for row in horizons.rows])
     ax.set_ylim(len(horizons.rows) - 0.4, -0.6)
     ax.set_xscale("log")

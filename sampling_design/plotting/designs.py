@@ -96,14 +96,12 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.plot(profile.samples, profile.at_samples, "o", color=style.MEASURED, label="output at the worst times")
     ax.set_ylim(bottom=0.0)
     style.time_axis(ax, result.time_unit, "time in the window")
-    ax.set_ylabel("output of a state of size 1")
-    ax.set_title(f"sigma {below(result.lower, 4)} proven, {above(result.upper, 4)} attained", loc="left")
     if (left := result.deviations) is not None:  # these are sigmas, the curve is of one state
         wider = f"{below(left.late, 4)}, {below(left.late_wider, 4)} in longer windows"
         late = "" if left.in_sigma else f"if late or early: {wider}; "
         ax.set_title(f"{late}if one is lost: {below(left.lost, 4)}", loc="right", fontsize="small")
-    style.legend(ax)
-    return ax
+    title = f"sigma {below(result.lower, 4)} proven, {above(result.upper, 4)} attained"
+    return style.finished(ax, "output of a state of size 1", title)
 
 
 def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes | style.Panels:
@@ -132,9 +130,7 @@ def _gaps(points: Sequence[ParetoPoint], ax: Axes) -> None:
     gaps = [100 * max(0.0, 1 - p.sigma / p.upper_bound) if p.upper_bound > 0 else 0.0 for p in points]
     ax.bar([p.samples for p in points], gaps, width=0.5, color=style.ALLOWED)
     for p, gap in zip(points, gaps, strict=True):
-        ax.annotate(
-            f"{gap:.1f}", (p.samples, gap), xytext=(0, 2), textcoords="offset points", ha="center", fontsize="small"
-        )
+        style.note(ax, f"{gap:.1f}", (p.samples, gap), (0, 2), ha="center")
     ax.set_ylim(0.0, 1.35 * (max(gaps) or 1.0))
     _whole_counts(ax)
     ax.set_ylabel("optimality gap\n[%]")
@@ -162,11 +158,8 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
             least.append(float(np.nanmin(left)))
     style.from_below(ax, min(least), float(bound.max()))
     _whole_counts(ax)
-    ax.set_ylabel("sigma")
     ends = (f"{counted(p.samples, 'sample')}: sigma {below(p.sigma, 4)}" for p in (points[0], points[-1]))
-    ax.set_title("; ".join(dict.fromkeys(ends)), loc="left")
-    style.legend(ax)
-    return ax
+    return style.finished(ax, "sigma", "; ".join(dict.fromkeys(ends)))
 
 
 def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
@@ -178,7 +171,7 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {below(losses.sigma, 4)}")
     for t, low in zip(losses.times, losses.lower, strict=True):
         said = f"{100 * (low / losses.sigma - 1):+.0f} %" if losses.sigma > 0 else ""
-        ax.annotate(said, (t, low), xytext=(7, 0), textcoords="offset points", va="center", fontsize="small")
+        style.note(ax, said, (t, low), (7, 0), va="center")
     top, least = max(losses.sigma, float(np.max(losses.bound))), float(min(np.min(losses.lower), losses.sigma))
     if (left := losses.deviations) is not None and not left.in_sigma:
         label = f"with all, {left.tolerance.describe(left.time_unit)}: {below(left.late, 4)}"
@@ -187,13 +180,10 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     style.from_below(ax, least, top)
     ax.margins(x=0.08)
     style.time_axis(ax, losses.time_unit, "time of the lost sample")
-    ax.set_ylabel("sigma (state at window's start)")
     worst = style.moment(ax, losses.times[int(np.argmin(losses.lower))], losses.time_unit, 4)
     missed = "missing in every period" if losses.every_period else "missed once"
     dear = "each sample costs as much" if losses.alike else f"the sample at {worst} costs most"
-    ax.set_title(f"{missed}: {dear}", loc="left")
-    style.legend(ax, 2)
-    return ax
+    return style.finished(ax, "sigma (state at window's start)", f"{missed}: {dear}", 2)
 
 
 def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
@@ -231,11 +221,9 @@ def draw_window_sigma(
     least = min(result.lower, draw_deviations(result.deviations, ax) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
-    kind = result.coordinates
-    ax.set_ylabel("sigma (state at window's start)" if kind == "physical" else f"sigma ({kind}, at start)")
-    ax.set_title(f"sigma is at least {below(result.lower, 4)} in every window", loc="left")
-    style.legend(ax, columns)
-    return ax
+    kind = "state at window's start" if result.coordinates == "physical" else f"{result.coordinates}, at start"
+    title = f"sigma is at least {below(result.lower, 4)} in every window"
+    return style.finished(ax, f"sigma ({kind})", title, columns)
 
 
 def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:

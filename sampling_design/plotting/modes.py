@@ -34,10 +34,8 @@ def draw_split(split: ModalSplit, ax: Axes | None = None) -> Axes:
     ax.margins(0.12)
     unit = split.plant.time_unit
     ax.set_xlabel(f"growth [1/{unit}]")
-    ax.set_ylabel(f"frequency [rad/{unit}]")
-    ax.set_title(f"{split.retained.n_states} of {split.plant.n_states} modes must be observed", loc="left")
-    style.legend(ax)
-    return ax
+    title = f"{split.retained.n_states} of {split.plant.n_states} modes must be observed"
+    return style.finished(ax, f"frequency [rad/{unit}]", title)
 
 
 def draw_counterexample(found: Counterexample, ax: Axes | None = None) -> Axes:
@@ -59,9 +57,7 @@ def draw_counterexample(found: Counterexample, ax: Axes | None = None) -> Axes:
         ax.plot(t, scaled[:, i] / size, color=colour, linewidth=1.0, label=f"{name} along the unobservable state")
     taken = np.concatenate([np.cumsum(schedule.gaps) + k * schedule.period for k in range(rounds)])
     ax.plot(taken, np.zeros_like(taken), "o", color=style.MEASURED, markersize=5, label="samples", zorder=3)
-    ax.set_ylabel("outputs, largest 1")
     style.time_axis(ax, found.plant.time_unit)
     ax.margins(x=0.02)
-    ax.set_title("every sample is zero: these samples do not determine the state", loc="left")
-    style.legend(ax, 3)
-    return ax
+    title = "every sample is zero: these samples do not determine the state"
+    return style.finished(ax, "outputs, largest 1", title, 3)

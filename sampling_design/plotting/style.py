@@ -183,6 +183,22 @@ def legend(ax: matplotlib.axes.Axes, columns: int = 0) -> None:
         ax.set_title(title, loc="left", pad=8.0 + 16.0 * -(-len(handles) // per_row), fontsize="medium")
 
 
+def finished(ax: matplotlib.axes.Axes, ylabel: str, title: str, columns: int = 0) -> matplotlib.axes.Axes:
+    """Name the y axis, give the picture its title and its legend, and return it."""
+    ax.set_ylabel(ylabel)
+    ax.set_title(title, loc="left")
+    legend(ax, columns)
+    return ax
+
+
+Place = tuple[float, float]
+
+
+def note(ax: matplotlib.axes.Axes, text: str, at: Place, offset: Place, ha: str = "left", va: str = "baseline") -> None:
+    """Write a few small words so many points beside a place."""
+    ax.annotate(text, at, xytext=offset, textcoords="offset points", fontsize="small", ha=ha, va=va)
+
+
 LOW = 0.6  # where a curve never falls below this share of its top, its axis begins under it and not at zero
 
 

@@ -27,9 +27,7 @@ def draw_validation(report: ValidationReport, ax: Axes | None = None) -> Axes | 
     _errors(report, axes[0])
     for i, panel in enumerate(axes[1:]):
         _tube(report, i, panel)
-        if i + 1 < count:
-            panel.set_xlabel("")
-            panel.tick_params(labelbottom=False)
+    style.one_time_axis(axes[1:])
     style.legend(axes[1])
     return axes
 

@@ -43,7 +43,7 @@ TABLE = strict.table(
 
 
 def record(read: Any, plant: parts.Plant) -> Decay:
-    return Decay(plant, parts.sized(read["P"], "P", plant.n), read["eta"])
+    return Decay(plant, parts.shaped(read["P"], "P", plant.n, plant.n), read["eta"])
 
 
 # 2. the proof of its inequality, in rational numbers: nothing is rounded

@@ -37,19 +37,15 @@ def _updated(Y: Array, rows: Array) -> Array:
 
 
 def _updated_below(Y: Array, rows: Array) -> Array:
-    """Y after a sample, lowered by its rounding; what is less than that may be nothing."""
-    return _lowered(measurement_update(Y, rows), _rounding(Y))
+    """Y after a sample, its eigenvalues lowered by its rounding; what is less than that may be nothing."""
+    values, vectors = np.linalg.eigh(measurement_update(Y, rows))
+    values = np.maximum(values - _rounding(Y)[:, None], 0.0)
+    return symmetrise((vectors * values[:, None, :]) @ vectors.swapaxes(1, 2))
 
 
 def _rounding(Y: Array) -> Array:
     """A bound of the rounding of a step that begins with Y."""
     return np.asarray(8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2))
-
-
-def _lowered(Y: Array, by: Array) -> Array:
-    """The least of stacks of psd matrices that lie within a distance of Y: its eigenvalues lowered, none below 0."""
-    values, vectors = np.linalg.eigh(Y)
-    return symmetrise((vectors * np.maximum(values - by[:, None], 0.0)[:, None, :]) @ vectors.swapaxes(1, 2))
 
 
 class _Sample(NamedTuple):

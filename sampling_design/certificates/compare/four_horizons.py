@@ -98,7 +98,12 @@ class FourHorizons(ListRecord[HorizonRow]):
 
     def cells(self) -> list[list[str]]:
         """The table's rows as text: name, source, M >, C_x, C_w, C_v."""
-        return [[row.name, row.source, *_cells(row)] for row in self.rows]
+        cells = []
+        for row in self.rows:
+            gains = (None,) * 3 if row.horizon is None else (row.horizon.C_x, row.horizon.C_w, row.horizon.C_v)
+            texts = ["-" if value is None else above(value, 3) for value in gains]
+            cells.append([row.name, row.source, "-" if row.minimum is None else above(row.minimum, 4), *texts])
+        return cells
 
     def to_markdown(self) -> str:
         """Return the table as markdown."""
@@ -109,12 +114,6 @@ class FourHorizons(ListRecord[HorizonRow]):
         rows = [[in_latex(cell) for cell in cells] for cells in self.cells()]
         table = latex_table(("horizon", "source", "$M >$", "$C_x$", "$C_w$", "$C_v$"), rows, "lp{30mm}rrrr")
         return "{\\footnotesize\\noindent\n" + table + "\\par}\n"
-
-
-def _cells(row: HorizonRow) -> list[str]:
-    least = "-" if row.minimum is None else above(row.minimum, 4)
-    gains = row.horizon
-    return [least, *(["-"] * 3 if gains is None else [above(v, 3) for v in (gains.C_x, gains.C_w, gains.C_v)])]
 
 
 @checked

@@ -359,7 +359,8 @@ def starts_at_sample(problem: WindowProblem, peak: RiccatiPeak) -> bool:
 
 def at_peak(problem: WindowProblem, peak: RiccatiPeak) -> tuple[Array, float, float]:
     """Return Y at a peak, the time of the peak and the start of its window."""
-    start = problem.start_time(peak.index, peak.remaining)
+    start = float(problem.times[peak.index]) - peak.remaining
+    start = max(start if start >= 0 else start + (problem.period or 0.0), 0.0)
     before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)
     F, W = problem.flow([before])
     Y, elapsed, at = propagate(np.eye(problem.size), F[0], W[0]), before, peak.index

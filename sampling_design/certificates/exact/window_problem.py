@@ -69,13 +69,6 @@ class WindowProblem:
             return index, self.gaps.copy()
         return np.append(index, 0), np.append(self.gaps, first)
 
-    def start_time(self, index: int, remaining: float) -> float:
-        """Return the earliest time >= 0 at which the window (index, remaining) starts."""
-        start = float(self.times[index]) - remaining
-        if start < 0 and self.period is not None:
-            start += self.period
-        return max(start, 0.0)
-
     def physical(self, direction: Array) -> Array:
         """Return a direction of x~ as a unit direction of x."""
         x = np.linalg.solve(self.root.T, direction)

@@ -270,16 +270,11 @@ def _involved(modes: PeriodModes, least: LeastObservedMode, period: float) -> tu
         (float(share), c) for block, share in zip(modes.blocks, least.shares, strict=True) for c in block.clusters
     ]
     # a turn more or less in e^{(a - b) P} does not count; what is left is how far a and b are from being aliased
-    near = [(share, c.value) for share, c in shares if _phase_difference(c.value - least.rate, period) <= NEARLY]
+    turns = ((share, c.value, (c.value - least.rate) * period) for share, c in shares)
+    near = [(share, v) for share, v, z in turns if abs(np.expm1(complex(min(z.real, 1.0), z.imag))) <= NEARLY]
     eigenvalues = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [least.rate]
     main = next((v for v in eigenvalues if v.imag > 0), eigenvalues[0])
     return main, tuple(v for v in eigenvalues if v != main)
-
-
-def _phase_difference(difference: complex, period: float) -> float:
-    """|e^{difference P} - 1|, at most some units."""
-    exponent = difference * period
-    return float(abs(np.expm1(complex(min(exponent.real, 1.0), exponent.imag))))
 
 
 def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:

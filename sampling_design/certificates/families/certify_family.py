@@ -85,20 +85,16 @@ class FamilyProposal:
         return float(np.log(max(self.lam, 1.0)) / self.dynamics.eta)
 
 
+@dataclass(frozen=True, eq=False)
 class FamilySearch:
     """The semidefinite program of one plant, family and choice of weights, for one rate and memory after the other."""
 
-    def __init__(
-        self,
-        plant: Plant,
-        family: SamplingFamily,
-        weights: NoiseWeights,
-        P2: Array | None,
-        noise_gain: float,
-        budget: Budget = ENDLESS,
-    ) -> None:
-        self.plant, self.family, self.weights, self.P2, self.noise_gain = plant, family, weights, P2, noise_gain
-        self.budget = budget
+    plant: Plant
+    family: SamplingFamily
+    weights: NoiseWeights
+    P2: Array | None
+    noise_gain: float
+    budget: Budget = ENDLESS
 
     def program(self, eta: float, memory: int, layers: int = LAYERS) -> FamilyProgram:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
@@ -406,9 +402,7 @@ def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], l
         smaller = search.family.narrowed(fraction)
         if smaller is None:
             break
-        proposal = FamilySearch(
-            search.plant, smaller, search.weights, search.P2, search.noise_gain, search.budget
-        ).propose(eta, 0)
+        proposal = replace(search, family=smaller).propose(eta, 0)
         low, high, part = (fraction, high, smaller) if proposal.P is not None else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"

@@ -81,19 +81,15 @@ class FamilyProgram:
             self._cache[h] = lift, conic_programs.svec(E.T @ self.basis @ E).T, E
         return self._cache[h]
 
-    def _columns(self, node: int) -> slice | None:
-        """Where the variables of a node's matrix lie; None where it is given (or infinite)."""
-        if node == 0:
-            return slice(self.graph.count - 1, self.graph.count) if self.P2 is None else None
-        return slice(node - 1, node)
-
-    def _width(self, scalar: bool) -> int:
-        return (self.graph.count - 1 + (self.P2 is None)) * self.pairs + scalar
+    @property
+    def _width(self) -> int:
+        """Variables: the matrices of nodes, P2 last where it is one, and a number."""
+        return (self.graph.count - 1 + (self.P2 is None)) * self.pairs + 1
 
     def _place(self, node: int) -> slice:
-        column = self._columns(node)
-        assert column is not None
-        return slice(column.start * self.pairs, column.stop * self.pairs)
+        """Where the variables of a node's matrix lie."""
+        k = (node or self.graph.count) - 1
+        return slice(k * self.pairs, (k + 1) * self.pairs)
 
     def floor(self) -> ProgramSolution:
         """Return the largest p such that Pi >= p unit is certified from P2 = infinity on the grid, the P_v (P[0] nan).
@@ -102,37 +98,35 @@ class FamilyProgram:
         """
         given, self.P2 = self.P2, np.zeros((0, 0))  # the start's matrix is infinite: no variable
         try:
-            width = self._width(True)
-            blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
-            blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
+            blocks = [self._edge(k, h) for k, h in self._edge_points()]
+            blocks += [self._node_above(u, s, self.unit) for u, s in self._node_points()]
             return self._largest([b for b in blocks if b[2].size], -np.inf)
         finally:
             self.P2 = given
 
     def feasible(self, lam: float, floor: float) -> ProgramSolution:
         """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
-        width = self._width(True)
         ratio = (1 + self.margin) / lam
-        blocks = [self._edge(k, h, width, slack=True) for k, h in self._edge_points()]
-        blocks += [self._node(u, s, width, ratio) for u, s in self._node_points()]
-        above = np.zeros((self.pairs, width))
+        blocks = [self._edge(k, h, slack=True) for k, h in self._edge_points()]
+        blocks += [self._node(u, s, ratio) for u, s in self._node_points()]
+        above = np.zeros((self.pairs, self._width))
         above[:, self._place(0)] = -np.eye(self.pairs) / lam
         blocks.append(("psd", above, -floor * conic_programs.svec(self.unit)))
-        cap = np.zeros((1, width))
+        cap = np.zeros((1, self._width))
         cap[0, -1] = 1.0
         blocks.append(("nonnegative", cap, np.ones(1)))
         return self._largest(blocks, LEAST_SLACK)
 
     def best_ratio(self) -> ProgramSolution:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
-        width = self._width(True)
-        blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
-        blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
+        assert self.P2 is not None
+        blocks = [self._edge(k, h) for k, h in self._edge_points()]
+        blocks += [self._node_above(u, s, self.P2, 1 + self.margin) for u, s in self._node_points()]
         return self._largest(blocks, np.nextafter(0.0, 1.0))
 
     def _largest(self, blocks: list[ConeRows], least: float) -> ProgramSolution:
         """The largest last variable under these blocks, and the matrices; none below `least`, or where it fails."""
-        cost = np.zeros(self._width(True))
+        cost = np.zeros(self._width)
         cost[-1] = -1.0
         solution = _solved(cost, blocks, self.budget)
         if not conic_programs.usable(solution.record) or solution.x[-1] < least:
@@ -145,68 +139,45 @@ class FamilyProgram:
     def _node_points(self) -> list[tuple[int, float]]:
         return [(u, s) for u, times in enumerate(self.node_times) for s in times]
 
-    def _start(self, node: int, h: float, width: int) -> tuple[Array, Array, Array, Array]:
-        """Rows of -[J P_u J'], right side blk(P_u, I) as far as it is given, Z's operator and E."""
+    def _start(self, node: int, h: float) -> tuple[Array, Array, Array, Array]:
+        """Rows of -[J P_u J'], right side blk(P_u, I) as far as it is given, Z's operator and E.
+
+        Of an infinite P_u what is left of them: I, and E is L.
+        """
         lift, press, E = self._flow(h)
         n = self.dynamics.size
-        rows, right = np.zeros((lift.shape[0], width)), np.zeros((E.shape[1], E.shape[1]))
+        if node == 0 and self.P2 is not None and not self.P2.size:
+            L = E[:, n:]
+            press = conic_programs.svec(L.T @ self.basis @ L).T
+            return np.zeros((len(press), self._width)), np.eye(L.shape[1]), press, L
+        rows, right = np.zeros((lift.shape[0], self._width)), np.zeros((E.shape[1], E.shape[1]))
         right[n:, n:] = np.eye(E.shape[1] - n)
-        if self._columns(node) is not None:
-            rows[:, self._place(node)] = -lift
-        else:
-            assert self.P2 is not None
+        if node == 0 and self.P2 is not None:
             right[:n, :n] = self.P2
+        else:
+            rows[:, self._place(node)] = -lift
         return rows, right, press, E
 
-    def _edge(self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False) -> ConeRows:
+    def _edge(self, k: int, h: float, slack: bool = False) -> ConeRows:
         edge = self.graph.edges[k]
-        if infinite and edge.source == 0:
-            return self._from_infinity(h, width, self._place(edge.target), self.dynamics.information(edge.outputs))
-        rows, right, press, E = self._start(edge.source, h, width)
+        rows, right, press, E = self._start(edge.source, h)
         rows[:, self._place(edge.target)] += (1 + self.margin) * press
         right = right + E.T @ self.dynamics.information(edge.outputs) @ E
         if slack:
             rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
         return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> ConeRows:
-        """I - L'ZL >= 0 with Z = (1 + margin) P_v - information."""
-        _, _, E = self._flow(h)
-        L = E[:, self.dynamics.size :]
-        rows = np.zeros((L.shape[1] * (L.shape[1] + 1) // 2, width))
-        rows[:, place] = (1 + self.margin) * conic_programs.svec(L.T @ self.basis @ L).T
-        return "psd", _stored(rows), conic_programs.svec(np.eye(L.shape[1]) + L.T @ information @ L)
-
-    def _node(self, node: int, s: float, width: int, ratio: float) -> ConeRows:
-        rows, right, press, E = self._start(node, s, width)
+    def _node(self, node: int, s: float, ratio: float) -> ConeRows:
+        rows, right, press, E = self._start(node, s)
         rows[:, self._place(0)] += ratio * press
         rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
         return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _node_ratio(self, node: int, s: float, width: int) -> ConeRows:
-        assert self.P2 is not None
-        rows, right, press, _ = self._start(node, s, width)
-        rows[:, -1] = (1 + self.margin) * press @ conic_programs.svec(self.P2)
+    def _node_above(self, node: int, s: float, form: Array, factor: float = 1.0) -> ConeRows:
+        """Phi_s(P_u) above so many times the last variable times a form."""
+        rows, right, press, _ = self._start(node, s)
+        rows[:, -1] = factor * press @ conic_programs.svec(form)
         return "psd", _stored(rows), conic_programs.svec(right)
-
-    def _node_floor(self, node: int, s: float, width: int) -> ConeRows:
-        _, press, E = self._flow(s)
-        if node == 0:
-            L = E[:, self.dynamics.size :]
-            return (
-                "psd",
-                _stored(self._column(conic_programs.svec(L.T @ self.unit @ L), width)),
-                conic_programs.svec(np.eye(L.shape[1])),
-            )
-        rows, right, press, _ = self._start(node, s, width)
-        rows[:, -1] = press @ conic_programs.svec(self.unit)
-        return "psd", _stored(rows), conic_programs.svec(right)
-
-    @staticmethod
-    def _column(values: Array, width: int) -> Array:
-        rows = np.zeros((values.size, width))
-        rows[:, -1] = values
-        return rows
 
     def _matrices(self, x: Array) -> Array:
         """P of every node, P2 first (nan where it is infinite)."""

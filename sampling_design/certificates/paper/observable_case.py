@@ -235,7 +235,7 @@ def tightened_weights(detectability: DetectabilityCertificate, samples: Sampling
     mu_bar, k_w, c_2 = first.named("mu_bar").value, first.named("k_w").value, detectability.c_y
     L = np.asarray(np.linalg.cholesky(detectability.P), dtype=np.float64)
     shifted = plant.A + eta / 2 * np.eye(plant.n_states)
-    swing = largest_flow(L.T, shifted, _inverse(L.T), t_star)[0] ** 2
+    swing = largest_flow(L.T, shifted, np.linalg.solve(L.T, np.eye(len(L))), t_star)[0] ** 2
     push = largest_flow(L.T, shifted, plant.G, t_star)[0] ** 2
     within_range("e^{eta T}", eta * T)
     f = float(np.expm1(eta * T)) / eta
@@ -265,11 +265,6 @@ def tightened_weights(detectability: DetectabilityCertificate, samples: Sampling
     constants = ConstantList((*_detectability(detectability), *first, *steps))
     P = detectability.P
     return ProvenWeights(P, beta * P, Qw * np.eye(plant.n_disturbances), R0, eta, constants)
-
-
-def _inverse(triangle: Array) -> Array:
-    """Inverse of a triangular factor, by a solve."""
-    return np.asarray(np.linalg.solve(triangle, np.eye(len(triangle))), dtype=np.float64)
 
 
 def _detectability(certificate: DetectabilityCertificate) -> tuple[Constant, ...]:

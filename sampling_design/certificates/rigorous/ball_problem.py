@@ -90,12 +90,6 @@ class BallWeights:
         """P2^-1."""
         return self.P2.inv()
 
-    def noise_of(self, measured: Mask) -> Matrix:
-        """V restricted to the measured outputs."""
-        index = np.flatnonzero(measured)
-        made: Matrix = flint().arb_mat([[self.V[int(i), int(j)] for j in index] for i in index])
-        return made
-
 
 def noise(G: Array, Qw: Array) -> Matrix:
     """Return G Qw^-1 G', in rational numbers; Qw may be singular where it does not drive the plant."""
@@ -152,8 +146,9 @@ class BallFrame:
         turned = L.solve(matrix(weights.C).transpose()).transpose().tolist()
         self.rows, self.noises = [], []
         for measured in patterns:
-            self.rows.append(flint().arb_mat([turned[int(j)] for j in np.flatnonzero(measured)]))
-            self.noises.append(weights.noise_of(measured))
+            at = np.flatnonzero(measured).tolist()
+            self.rows.append(flint().arb_mat([turned[j] for j in at]))
+            self.noises.append(flint().arb_mat([[weights.V[i, j] for j in at] for i in at]))
         self.identity = identity(self.n)
 
     def gain(self, Y: Matrix, i: int) -> Matrix:

@@ -167,7 +167,8 @@ def accuracy_over_box(
         attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
     status = search.run(judged, cut, look)
     lower, top, cells = -search.best, -search.lower, search.judged
-    where = tuple(_parameter_values(plant, each) for each in worst)
+    named = [each.name for each in plant.parameters]
+    where = tuple(dict(zip(named, np.clip(each, plant.low, plant.high).tolist(), strict=True)) for each in worst)
     if not np.all(np.isfinite(top)):
         raise KeyboardInterrupt if status == "interrupted" else _unbounded(where[0])
     closed = top * (1 - BALL_ROOM * rtol) <= lower
@@ -217,11 +218,11 @@ def _cell(
 def mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Array]]:
     """What half-widths of A add as columns (n, rank) times rows (rank, n)."""
     into, driving = [], []
-    for each, size in zip(plant.parameters, half.tolist(), strict=True):
-        if each.A is None or not each.A.any() or not size:
+    for A, size in zip(plant.moves("A"), half.tolist(), strict=True):
+        if not A.any() or not size:
             continue
         x = plant.nominal.states.scales
-        U, s, V = np.linalg.svd(size * each.A * x / x[:, None])
+        U, s, V = np.linalg.svd(size * A * x / x[:, None])
         rank = int(np.sum(s > RANK * s[0]))
         into.append(x[:, None] * U[:, :rank])
         driving.append(s[:rank, None] * V[:rank] / x)
@@ -230,8 +231,7 @@ def mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Arra
 
 def moved(plant: UncertainPlant, half: Array, key: str) -> list[Array]:
     """What half-widths add to C or to G."""
-    pairs = ((getattr(each, key), size) for each, size in zip(plant.parameters, half.tolist(), strict=True))
-    return [size * M for M, size in pairs if M is not None and M.any() and size]
+    return [size * M for M, size in zip(plant.moves(key), half.tolist(), strict=True) if M.any() and size]
 
 
 def _weights(plant: UncertainPlant) -> Array:
@@ -240,15 +240,8 @@ def _weights(plant: UncertainPlant) -> Array:
     for key in ("A", "C", "G"):
         M = np.abs(getattr(plant.nominal, key))
         size = max(float(np.linalg.norm(M)), 1e-300)
-        for k, each in enumerate(plant.parameters):
-            own = getattr(each, key)
-            found[k] += 0.0 if own is None else float(np.linalg.norm(own)) / size
+        found += [float(np.linalg.norm(each)) / size for each in plant.moves(key)]
     return found
-
-
-def _parameter_values(plant: UncertainPlant, theta: Array) -> dict[str, float]:
-    pairs = zip(plant.parameters, theta.tolist(), strict=True)
-    return {each.name: float(np.clip(value, each.low, each.high)) for each, value in pairs}
 
 
 def _entries(name: str, value: Bound, count: int) -> Array:

@@ -38,15 +38,14 @@ class BallBox:
     """A box as matrices of balls: the doubles of the plant and its parameters as they are."""
 
     def __init__(self, model: BoxModel) -> None:
-        P, y = model.plant.nominal, model.outputs
-        own = [model.plant.parameters[k] for k in model.place.tolist()]
+        P, y, place = model.plant.nominal, model.outputs, model.place.tolist()
+        own = [model.plant.parameters[k] for k in place]
         self.unit = _diagonal(model.unit)
         self.into = _diagonal(model.states) * self.unit
         self.back, self.rows = self.into.inv(), _diagonal(y).inv()
         self.A, self.C = self.balanced(matrix(P.A), matrix(P.C))
-        none_A, none_C = np.zeros_like(P.A), np.zeros_like(P.C)
-        moved = [(none_A if each.A is None else each.A, none_C if each.C is None else each.C) for each in own]
-        parts = [self.balanced(matrix(A), matrix(C)) for A, C in moved]
+        moves = list(zip(model.plant.moves("A"), model.plant.moves("C"), strict=True))
+        parts = [self.balanced(*map(matrix, moves[k])) for k in place]
         self.parts_A, self.parts_C = [A for A, _ in parts], [C for _, C in parts]
         self.half = [(ball(each.high) - ball(each.low)) / 2 for each in own]
         self.off = [(ball(each.high) + ball(each.low)) / 2 - ball(each.nominal) for each in own]

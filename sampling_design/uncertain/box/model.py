@@ -41,19 +41,20 @@ class BoxModel:
         """
         require_constant_box(plant, name)
         P = plant.nominal
-        own = [k for k, each in enumerate(plant.parameters) if each.low < each.high and _moves(plant, k)]
+        A, C, each = plant.moves("A"), plant.moves("C"), plant.parameters
+        own = [k for k in range(len(each)) if each[k].low < each[k].high and (A[k].any() or C[k].any())]
         x, y = P.states.scales, P.outputs.scales
         low, high = plant.low[own], plant.high[own]
         half, middle = high / 2 - low / 2, low / 2 + high / 2
         d = balance(P.A * x / x[:, None], P.C * x / y[:, None]).d
         to_z, rows = x * d, y[:, None]
-        parts_A = np.array([_part(plant, k, "A") for k in own]).reshape(len(own), *P.A.shape)
-        parts_C = np.array([_part(plant, k, "C") for k in own]).reshape(len(own), *P.C.shape)
+        parts_A = np.array([A[k] for k in own]).reshape(len(own), *P.A.shape)
+        parts_C = np.array([C[k] for k in own]).reshape(len(own), *P.C.shape)
         return cls(
             plant=plant, A=P.A * to_z / to_z[:, None], C=P.C * to_z / rows,
             parts_A=half[:, None, None] * parts_A * to_z / to_z[:, None],
             parts_C=half[:, None, None] * parts_C * to_z / rows,
-            nominal=np.array([plant.parameters[k].nominal for k in own]), middle=middle, half=half, unit=d,
+            nominal=np.array([each[k].nominal for k in own]), middle=middle, half=half, unit=d,
             states=x, outputs=y, place=np.array(own, dtype=int),
         )  # fmt: skip
 
@@ -111,12 +112,3 @@ def require_constant_box(plant: UncertainPlant, name: str) -> None:
             f"`plant` must have constant parameters for {name}, got ones that vary in time. "
             "Use varying=False, or certify, which holds for varying ones."
         )
-
-
-def _part(plant: UncertainPlant, k: int, key: str) -> Array:
-    moved = getattr(plant.parameters[k], key)
-    return np.zeros(getattr(plant.nominal, key).shape) if moved is None else np.asarray(moved)
-
-
-def _moves(plant: UncertainPlant, k: int) -> bool:
-    return bool(_part(plant, k, "A").any() or _part(plant, k, "C").any())

@@ -16,7 +16,7 @@ from sampling_design.certificates.form.claims import RESOLUTION
 from sampling_design.certificates.rigorous.ball_problem import dissipation, positive_definite
 from sampling_design.certificates.rigorous.dissipation_balls import decided
 from sampling_design.checkers.cover import judge
-from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
+from sampling_design.checkers.inclusion import FLOW, SUBJECT, Flow, broken
 from sampling_design.checkers.inclusion_file import Inclusion, moved
 from sampling_design.checkers.members import JUMP
 from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
@@ -143,9 +143,9 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
 
 def multipliers_fail(c: Inclusion, error: Refused) -> Refused:
     """What it says of the claim that multipliers do not prove it: refuted only with a corner that breaks it."""
-    both, slope, size, taus = pieces(c, (c.P + np.swapaxes(c.P, 1, 2)) / 2)
+    flow = Flow(c, (c.P + np.swapaxes(c.P, 1, 2)) / 2, (c.weights.Qw + c.weights.Qw.T) / 2)
     try:
-        broken(c, both, slope, size, taus, (c.weights.Qw + c.weights.Qw.T) / 2)
+        broken(c, flow)
     except Refused as found:
         return Refused(FLOW, found.reason, amount=found.amount)
     return Undecided(FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", error.amount, error.time)
@@ -154,12 +154,12 @@ def multipliers_fail(c: Inclusion, error: Refused) -> Refused:
 def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
     """The jump condition for every member: tangents from below, as in `checkers/members.py`."""
     slack = 1.0
-    for pattern in sorted(set(map(tuple, c.jumps.measured.tolist()))):
+    for pattern in sorted(set(map(tuple, c.measured.tolist()))):
         measured = np.array(pattern, bool)
         Y = of_some(Rt, measured)
         every = [
             (P[i], P[j], float(c.nodes[i]))
-            for i, j, row in zip(c.jumps.later, c.jumps.base, c.jumps.measured, strict=True)
+            for i, j, row in zip(c.later, c.base, c.measured, strict=True)
             if np.array_equal(row, measured)
         ]
         if not measured.any():

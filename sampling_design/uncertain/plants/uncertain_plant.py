@@ -184,6 +184,11 @@ class UncertainPlant(LinearInclusion, PlainRecord):
                 found = found + (value - each.nominal) * M
         return found
 
+    def moves(self, key: str) -> list[Array]:
+        """Return what one unit of each parameter adds to "A", "C" or "G": zeros where it adds nothing."""
+        nothing = np.zeros(getattr(self.nominal, key).shape)
+        return [nothing if (M := getattr(each, key)) is None else M for each in self.parameters]
+
     def draw(self, rng: Seed = None) -> Plant:
         """Return a random plant of the set; half of the parameters are at an end of their range."""
         rng = checks.generator(rng)
@@ -221,11 +226,8 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         if len(moving) <= MOST_LISTED:
             return None
         middle, add, at = np.hstack([self.nominal.A, self.nominal.G]), [], []
-        for each in self.parameters:
-            parts = [
-                np.zeros_like(getattr(self.nominal, k)) if getattr(each, k) is None else getattr(each, k) for k in "AG"
-            ]
-            M = np.hstack(parts)
+        for each, A, G in zip(self.parameters, self.moves("A"), self.moves("G"), strict=True):
+            M = np.hstack([A, G])
             middle = middle + (each.low / 2 + each.high / 2 - each.nominal) * M
             for k in np.flatnonzero(np.any(M != 0, axis=0)).tolist():
                 add.append((each.high - each.low) / 2 * M[:, k])

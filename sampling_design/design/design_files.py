@@ -7,7 +7,6 @@ from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
-from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.records.signatures import checked
@@ -57,7 +56,9 @@ def write_design(
     if origin is None:
         return [write_schedule(design.schedule, place / "schedule.csv")], []
     dated, span, notes = replace(design.schedule, origin=origin), None, []
-    if zone is not None and _has_hours(design.requirement):
+    requirement = design.requirement
+    closed = bool(requirement.forbidden.size) or any(s.available is not None for s in requirement.sensors.values())
+    if zone is not None and closed:
         zero = parse_date("origin", origin, zone)
         before, after = next(clock_changes(zone, zero, zero + timedelta(days=AHEAD)), (None, None))
         if before is not None and after is not None:
@@ -75,8 +76,3 @@ def write_design(
         write_calendar_csv(dated, place / "calendar.csv", zone=zone),
     ]
     return [*files, write_ics(dated, place / "schedule.ics", summary=title, span=span, zone=zone)], notes
-
-
-def _has_hours(requirement: Requirement) -> bool:
-    """Whether some hours are closed."""
-    return bool(requirement.forbidden.size) or any(each.available is not None for each in requirement.sensors.values())

@@ -40,7 +40,10 @@ def folded(problem: DesignProblem) -> DesignProblem | None:
         samples=problem.samples // count,
         forbidden=_folded(problem.forbidden, period, count),
         fixed=fixed[apart],
-        available=tuple(None if a is None else _common(a, problem.period, count) for a in problem.available),
+        available=tuple(  # what intervals have in common in every part
+            None if a is None else _rest(_folded(_rest(a, problem.period), period, count), period)
+            for a in problem.available
+        ),
         costs=problem.costs,
         cost_limit=problem.cost_limit / count,
     )
@@ -62,12 +65,6 @@ def _folded(spans: Array, period: float, count: int) -> Array:
     pieces = [(a - cycle * period, b - cycle * period) for a, b in spans for cycle in range(count + 1)]
     inside = [(max(float(a), 0.0), min(float(b), period)) for a, b in pieces if b > 0 and a < period]
     return joined(np.array(inside).reshape(-1, 2))
-
-
-def _common(spans: Array, period: float, count: int) -> Array:
-    """What intervals have in common in every part."""
-    part = period / count
-    return _rest(_folded(_rest(spans, period), part, count), part)
 
 
 def _rest(spans: Array, period: float) -> Array:

@@ -163,12 +163,9 @@ def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[Eigenv
         )
     # noise in a real part must not decide the order
     grain = max(form.norm, np.finfo(float).tiny) * 1e-9
-    order = sorted(range(len(found)), key=lambda i: (-round(found[i].value.real / grain), _imaginary(found[i].value)))
+    keys = [(-round(v.real / grain), abs(v.imag), v.imag < 0) for v in (each.value for each in found)]
+    order = sorted(range(len(found)), key=keys.__getitem__)
     return tuple(found[i] for i in order), [groups[i] for i in order]
-
-
-def _imaginary(value: complex) -> tuple[float, bool]:
-    return abs(value.imag), value.imag < 0
 
 
 def _mean(values: Complex) -> complex:

@@ -99,7 +99,8 @@ def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
         If the suffix is unknown or the file cannot be written.
     """
     where = os.fspath(path)
-    encode = _by_suffix(where, {"toml": _as_toml, "json": _as_json, "mat": _as_mat, "npz": _as_npz})
+    encoders = {"toml": _as_toml, "json": lambda tree: file_io.to_json(tree).encode(), "mat": _as_mat, "npz": _as_npz}
+    encode = _by_suffix(where, encoders)
     return file_io.write_bytes(where, encode(plant.to_dict()))
 
 
@@ -216,10 +217,6 @@ def _toml_matrix(key: str, rows: list[list[float]]) -> str:
     """One row per line (the TOML library would spend a line on each number)."""
     lines = "".join(f"    {row!r},\n" for row in rows)
     return f"{key} = [\n{lines}]\n"
-
-
-def _as_json(tree: Mapping[str, object]) -> bytes:
-    return file_io.to_json(tree).encode("utf-8")
 
 
 def _read_npz(where: str) -> dict[str, object]:

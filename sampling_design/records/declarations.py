@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
-from functools import singledispatch
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast, dataclass_transform
 
 import numpy as np
@@ -282,76 +281,38 @@ def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str
     return "\n".join([*lines, r"\end{tabular}"]) + "\n"
 
 
-@singledispatch
 def in_words(value: object, digits: int = 6, up: bool | None = None) -> str:
     """Return a value as a table says it: numbers short, truths as yes or no, names and named values in a row."""
+    match value:
+        case bool() | np.bool_():
+            return "yes" if value else "no"
+        case float() | np.floating() | np.ndarray():
+            return short(value, digits, up)
+        case tuple() | list():
+            return ", ".join(map(str, value)) if all(is_text(each) for each in value) else short(value, digits, up)
+        case Mapping():
+            return ", ".join(f"{name} = {in_words(each, digits, up)}" for name, each in value.items())
     return str(value)
 
 
-@in_words.register(float)
-@in_words.register(np.floating)
-@in_words.register(np.ndarray)
-def _numbers_in_words(value: object, digits: int = 6, up: bool | None = None) -> str:
-    return short(value, digits, up)
-
-
-@in_words.register(bool)
-@in_words.register(np.bool_)
-def _truth_in_words(value: object, digits: int = 6, up: bool | None = None) -> str:
-    return "yes" if value else "no"
-
-
-@in_words.register(tuple)
-@in_words.register(list)
-def _list_in_words(value: Sequence[object], digits: int = 6, up: bool | None = None) -> str:
-    return ", ".join(map(str, value)) if all(is_text(each) for each in value) else short(value, digits, up)
-
-
-@in_words.register(Mapping)
-def _table_in_words(value: Mapping[str, object], digits: int = 6, up: bool | None = None) -> str:
-    return ", ".join(f"{name} = {in_words(each, digits, up)}" for name, each in value.items())
-
-
-@singledispatch
 def plain(value: object) -> Plain:
     """Return a value as plain data: arrays are lists, numbers that are not finite are None, records their `to_dict`."""
+    match value:
+        case np.ndarray() | np.generic():
+            whole = value.dtype.kind != "f" or bool(np.isfinite(value).all())
+            return cast("Plain", value.tolist()) if whole and value.dtype.kind != "c" else plain(value.tolist())
+        case float():
+            return value if math.isfinite(value) else None
+        case complex():
+            return [value.real, value.imag]
+        case date():
+            return value.isoformat()
+        case Mapping():
+            return {str(key): plain(each) for key, each in value.items()}
     if hasattr(value, "to_dict"):
         return cast("Plain", value.to_dict())
+    if is_list(value):
+        return [plain(each) for each in value]
     if is_dataclass(value):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     return cast("Plain", value)
-
-
-@plain.register(float)
-def _plain_number(value: float) -> Plain:
-    return value if math.isfinite(value) else None
-
-
-@plain.register(complex)
-def _plain_pair(value: complex) -> Plain:
-    return [value.real, value.imag]
-
-
-@plain.register(np.ndarray)
-@plain.register(np.generic)
-def _plain_array(value: npt.NDArray[np.generic]) -> Plain:
-    whole = value.dtype.kind != "f" or bool(np.isfinite(value).all())
-    return cast("Plain", value.tolist()) if whole and value.dtype.kind != "c" else plain(value.tolist())
-
-
-@plain.register(tuple)
-@plain.register(list)
-def _plain_list(value: Sequence[object]) -> Plain:
-    if hasattr(value, "to_dict"):
-        return cast("Plain", value.to_dict())
-    return [plain(each) for each in value]
-
-
-@plain.register(Mapping)
-def _plain_table(value: Mapping[object, object]) -> Plain:
-    return {str(key): plain(each) for key, each in value.items()}
-
-
-@plain.register(date)
-def _plain_date(value: date) -> Plain:
-    return value.isoformat()

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Generic, TypeAlias, TypeVar
 
 from sampling_design.checkers.strict import a_table, is_text, or_nothing, refuse, table, text
 from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
@@ -100,15 +100,6 @@ class Journal(Generic[Kept]):
 Item = TypeVar("Item")
 
 
-@runtime_checkable
-class HasDict(Protocol):
-    """A record that can be told as plain data."""
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        ...
-
-
 Answer: TypeAlias = tuple[dict[str, Plain] | None, str]
 """An answer as plain data, or None and what stands in its way."""
 
@@ -156,7 +147,7 @@ class Sweep(PlainRecord):
 
 @checked
 def sweep(
-    question: Callable[[Item], HasDict],
+    question: Callable[[Item], object],
     items: Mapping[str, Item] | Iterable[Item],
     *,
     workers: Workers = None,
@@ -224,14 +215,14 @@ def sweep(
     return Sweep(names, answers, obstacles)
 
 
-def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> Answer:
+def _answered(job: tuple[Callable[[Item], object], Item]) -> Answer:
     """The answer as plain data, the same as it would be after a way through a file."""
     question, item = job
     try:
         answer = question(item)
     except SamplingDesignError as error:
         return None, str(error) or type(error).__name__
-    if not isinstance(answer, HasDict):
+    if not hasattr(answer, "to_dict"):
         raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(answer)}.")
     return from_json(to_json(answer.to_dict()), "the answer"), ""
 

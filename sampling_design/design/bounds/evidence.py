@@ -376,11 +376,6 @@ def alone_part(problem: DesignProblem) -> BoundPart:
     return _least_observable(without_hours(problem), "alone", np.zeros(1), chosen)
 
 
-def fixed_part(problem: DesignProblem) -> BoundPart:
-    """Bound where every sample is fixed: the window of this one schedule that sees some state least."""
-    return _least_observable(problem, "placed", problem.fixed, problem.measured(problem.fixed))
-
-
 def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
     """Bounds where no time is left to choose: of one sample, or of samples that are all fixed.
 
@@ -390,7 +385,7 @@ def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
     cases = [changed(problem, {"chosen": chosen}) for chosen in choices] or [problem]
     found = [tuple(alone_part(case) for case in cases)] if problem.samples == 1 else []
     if problem.fixed.size == problem.samples and (choices or not problem.is_costly):
-        found.append(tuple(fixed_part(case) for case in cases))
+        found.append(tuple(_least_observable(each, "placed", each.fixed, each.measured(each.fixed)) for each in cases))
     return found
 
 

@@ -156,7 +156,9 @@ def _shut(requirement: Requirement, own: WeekHours | None) -> Array:
     """
     assert requirement.calendar is not None
     period, unit = _known(requirement.period), str(requirement.time_unit)
-    repeat = "d" if all(len({hours.get(day) for day in DAYS}) == 1 for hours in _week_hours(requirement)) else "wk"
+    others = [week_hours("hours", term.hours) for term in requirement.sensors.values() if term.hours is not None]
+    every = [requirement.calendar.open_hours(), *others]
+    repeat = "d" if all(len({hours.get(day) for day in DAYS}) == 1 for hours in every) else "wk"
     count = period * SECONDS[unit] / SECONDS[repeat]
     if abs(count - round(count)) > 1e-6:
         raise ArgumentError(
@@ -165,13 +167,6 @@ def _shut(requirement: Requirement, own: WeekHours | None) -> Array:
         )
     minute = 60 / SECONDS[unit]
     return np.multiply(requirement.calendar.closed(period / minute, own), minute).reshape(-1, 2)
-
-
-def _week_hours(requirement: Requirement) -> list[WeekHours]:
-    """Opening hours of the place, and those of sensors."""
-    assert requirement.calendar is not None
-    own = [week_hours("hours", term.hours) for term in requirement.sensors.values() if term.hours is not None]
-    return [requirement.calendar.open_hours(), *own]
 
 
 def _sure_window(requirement: Requirement) -> float:

@@ -37,7 +37,8 @@ def refined(
         for share in (1.0, 0.4, 0.1):
             trial = times + share * move
             wrapped = np.sort(np.mod(trial, problem.period))
-            wrapped = _with_fixed(problem, wrapped)
+            for t in problem.fixed:  # to the last bit
+                wrapped[np.argmin(np.abs(wrapped - t))] = t
             if not is_admissible(problem, wrapped):
                 continue
             value = float(worst_sigma2(problem, wrapped[None, :])[0])
@@ -52,13 +53,6 @@ def refined(
         if trust < 1e-8 * problem.period or (gained and small):
             break
     return times, sigma2
-
-
-def _with_fixed(problem: DesignProblem, times: Array) -> Array:
-    """The same times with fixed ones to the last bit."""
-    for t in problem.fixed:
-        times[np.argmin(np.abs(times - t))] = t
-    return times
 
 
 def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, budget: Budget) -> Array | None:

@@ -8,7 +8,7 @@ from scipy.linalg import qr, schur
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.numerics.balancing import balance, balanced, balanced_rows
 from sampling_design.numerics.linalg import expm_batch, positive_or_one
-from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
+from sampling_design.observability.count.pbh import RANK_TOLERANCE, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, without
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
@@ -74,7 +74,10 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
     part, onto, H = plant, np.eye(plant.n_states), rows.matrix
     while len(hidden := unobservable_modes(_with_rows(part, H))):
         weights = balance(part.A, np.vstack([part.C, H])).d
-        part, step, kept = without(part, _real(hidden, weights), weights, RANK_TOLERANCE)
+        scaled = hidden.directions / weights[:, None]  # a real basis: complex ones have their mirrors
+        left, _, _ = np.linalg.svd(np.hstack([scaled.real, scaled.imag]), full_matrices=False)
+        basis = weights[:, None] * left[:, : len(hidden)]
+        part, step, kept = without(part, basis, weights, RANK_TOLERANCE)
         onto, H = step @ onto, H[:, kept]
     part, onto = _rows_first(plant, part, onto, H, rows)
     _require_detectable(plant, part, rows, decay_rate)
@@ -133,13 +136,6 @@ def rows_between_samples(plant: FunctionalPlant, schedule: PeriodicSchedule, dec
 def _with_rows(plant: Plant, H: Array) -> Plant:
     """The plant that measures the rows, too."""
     return Plant(plant.A, np.vstack([plant.C, H]), time_unit=plant.time_unit, states=plant.states)
-
-
-def _real(hidden: UnobservableModes, weights: Array) -> Array:
-    """A real basis of the directions, complex ones with their mirrors."""
-    scaled = hidden.directions / weights[:, None]
-    left, _, _ = np.linalg.svd(np.hstack([scaled.real, scaled.imag]), full_matrices=False)
-    return np.asarray(weights[:, None] * left[:, : len(hidden)])
 
 
 def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: RequestedRows) -> tuple[Plant, Array]:

@@ -187,7 +187,9 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     for count, (most, _) in hidden.items():
         lower = max(lower, _borne(growth, count * schedule.period, count * len(schedule) - most))
     if everything:
-        left = density - 2 * _fastest_turn(kept) / (2 * np.pi)
+        clusters = eigenvalue_clusters(kept.A) if kept.n_states else ()
+        fastest = max((float(np.max(np.abs(c.members.imag))) + c.uncertainty for c in clusters), default=0.0)
+        left = density - 2 * fastest / (2 * np.pi)
         lower = max(lower, _borne(growth, 1.0, left if left > NEARLY_HIDDEN * density else 0.0))
     limit = _borne(growth, 1.0, density)
     upper, times = limit, np.zeros(0)
@@ -226,12 +228,6 @@ def _fastest(plant: Plant) -> tuple[float, float]:
         if real > max(growth, min(doubt, SAME_GROWTH * abs(cluster.value))):
             growth, rounding = real, 2 * doubt
     return growth, rounding
-
-
-def _fastest_turn(plant: Plant) -> float:
-    """The largest frequency of a mode that rounding leaves possible."""
-    clusters = eigenvalue_clusters(plant.A) if plant.n_states else ()
-    return max((float(np.max(np.abs(c.members.imag))) + c.uncertainty for c in clusters), default=0.0)
 
 
 def _retained(plant: Plant) -> Plant:

@@ -59,7 +59,10 @@ def deviations_of(
     )
     if found is None or max(found.late, found.late_wider, found.lost) > 0:
         return found
-    return None if _is_hidden(plant, schedule, window, start, asked) else found
+    # where growth within the window hides sigma itself from doubles they say nothing of what is left of it
+    pieces = window_pieces(schedule, window, start, asked)
+    whole = sigma_of_pieces(plant, schedule, pieces, DEVIATION_RTOL, np.inf, handed_over=0.0)
+    return None if whole.status == "below rounding" else found
 
 
 def left_of_sigma(
@@ -91,14 +94,6 @@ def left_of_sigma(
     if limit.over:
         return None
     return SigmaDeviations(tolerance, late, wider, min(fewer, sigma), worst, time_unit, bool(asked))
-
-
-def _is_hidden(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, window: float, start: float | None, asked: TimingTolerance
-) -> bool:
-    """Whether growth within the window hides sigma itself from doubles: then they say nothing of what is left of it."""
-    pieces = window_pieces(schedule, window, start, asked)
-    return sigma_of_pieces(plant, schedule, pieces, DEVIATION_RTOL, np.inf, handed_over=0.0).status == "below rounding"
 
 
 def lost_one_by_one(

@@ -124,21 +124,16 @@ def worst_violated(least: Array, chosen: list[int], most: int) -> list[int]:
 
 
 def flow_scale(posed: InclusionData) -> Array:
-    """N^-1/2, N the size of A + A' where rates are fast, in all coordinates that flow conditions have; else I.
+    """N^-1/2, N = I + |A + A'|/(2 pace) where rates are fast, in all coordinates that flow conditions have; else I.
 
     A congruence with it changes no definiteness. Rates up to `BEARABLE` per longest gap are left as they are.
     """
     n, full = posed.n, np.eye(posed.dynamics.shape[2] + len(posed.multiplied))
     A = posed.dynamics[:, :, :n].mean(axis=0)
-    if np.max(np.abs(np.linalg.eigvalsh((A + A.T) / 2)), initial=0.0) > BEARABLE:
-        full[:n, :n] = scaling_of(A)
-    return full
-
-
-def scaling_of(A: Array) -> Array:
-    """(I + |A + A'|/(2 pace))^-1/2, |.| of a symmetric matrix that of its eigenvalues."""
     values, vectors = np.linalg.eigh((A + A.T) / 2)
-    return np.asarray(vectors @ np.diag(1 / np.sqrt(1 + np.abs(values) / PACE)) @ vectors.T)
+    if np.max(np.abs(values), initial=0.0) > BEARABLE:
+        full[:n, :n] = vectors @ np.diag(1 / np.sqrt(1 + np.abs(values) / PACE)) @ vectors.T
+    return full
 
 
 class InclusionProgram:

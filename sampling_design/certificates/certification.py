@@ -12,7 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments, weights_within
+from sampling_design.certificates.exact.bound_weights import (
+    BoundedOptions,
+    CertifyOptions,
+    ErrorBoundArguments,
+    weights_within,
+)
 from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, origin_question
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
@@ -103,38 +108,27 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: ScaledProblem) -> tuple[
 
 @overload
 def certify(
-    plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
-    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    noise_gain: float = ..., of: Wanted = ..., budget: float | None = ..., progress: Progress | None = ...,
-    **bounds: Unpack[ErrorBoundArguments],
+    plant: Plant, schedule: AnySchedule | None, *, P2: npt.ArrayLike | None = ..., of: Wanted = ...,
+    **options: Unpack[BoundedOptions],
 ) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
-    plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
-    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    noise_gain: float = ..., of: Wanted = ..., memory: int | None = ..., budget: float | None = ...,
-    progress: Progress | None = ..., **bounds: Unpack[ErrorBoundArguments],
+    plant: Plant, schedule: SamplingFamily, *, P2: npt.ArrayLike | None = ..., of: Wanted = ...,
+    memory: int | None = ..., **options: Unpack[BoundedOptions],
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
-    plant: Plant, schedule: AnySchedule | SamplingFamily, *, eta: float | None = ...,
-    noise_gain: float = ..., of: Wanted = ..., budget: float | None = ..., progress: Progress | None = ...,
-    **bounds: Unpack[ErrorBoundArguments],
+    plant: Plant, schedule: AnySchedule | SamplingFamily, *, of: Wanted = ..., **options: Unpack[BoundedOptions]
+) -> SampledCertificate: ...
+@overload
+def certify(
+    plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: Timing, P2: npt.ArrayLike | None = ...,
+    of: Wanted = ..., memory: int | None = ..., **options: Unpack[BoundedOptions],
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
 def certify(
-    plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: Timing, eta: float | None = ...,
-    P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
-    Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., of: Wanted = ...,
-    memory: int | None = ..., budget: float | None = ..., progress: Progress | None = ...,
-    **bounds: Unpack[ErrorBoundArguments],
-) -> SampledCertificate: ...  # fmt: skip
-@overload
-def certify(
-    plant: OpenPlant, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
-    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
-) -> SampledCertificate: ...  # fmt: skip
+    plant: OpenPlant, schedule: SamplingFamily | PeriodicSchedule, **options: Unpack[CertifyOptions]
+) -> SampledCertificate: ...
 @checked
 def certify(
     plant: Plant | OpenPlant,

@@ -164,14 +164,14 @@ def witness_of(read: Tree | None, n: int, times: Times) -> Witness | None:
     return Witness(**{**read, "direction": np.array(read["direction"])})
 
 
-def times_of(value: object, plant: Plant, place: str = "times") -> Times:
+def times_of(value: object, plant: Plant) -> Times:
     """One schedule of a certificate: in the plant's unit, one column per output."""
     mask = or_nothing(list_of(list_of(bit, len(plant.C))))
     shapes = {
         "periodic": table({"kind": text, "gaps": list_of(positive), "first": nonnegative, "outputs": mask}),
         "finite": table({"kind": text, "times": list_of(nonnegative), "outputs": mask}),
     }
-    return times_read(of_kind("a schedule", shapes)(value, place), plant, place)
+    return times_read(of_kind("a schedule", shapes)(value, "times"), plant, "times")
 
 
 def times_read(read: Tree, plant: Plant, place: str) -> Times:

@@ -61,11 +61,9 @@ def new_axes(ax: matplotlib.axes.Axes | None = None, width: float = 8.0, height:
     return Figure(figsize=(width, height), layout="constrained").add_subplot(axes_class=Axes)
 
 
-def new_figure(
-    rows: int, width: float = 9.0, row_height: float = 2.6, ratios: tuple[float, ...] | None = None
-) -> tuple[Figure, Panels]:
+def new_figure(rows: int, row_height: float = 2.6, ratios: tuple[float, ...] | None = None) -> tuple[Figure, Panels]:
     """Return (figure, list of axes) with `rows` rows."""
-    figure = Figure(figsize=(width, row_height * rows), layout="constrained")
+    figure = Figure(figsize=(9.0, row_height * rows), layout="constrained")
     axes = figure.subplots(
         rows, 1, squeeze=False, gridspec_kw={"height_ratios": ratios or (1.0,) * rows}, subplot_kw={"axes_class": Axes}
     )
@@ -191,10 +189,14 @@ def finished(ax: matplotlib.axes.Axes, ylabel: str, title: str, columns: int = 0
     return ax
 
 
-Place = tuple[float, float]
-
-
-def note(ax: matplotlib.axes.Axes, text: str, at: Place, offset: Place, ha: str = "left", va: str = "baseline") -> None:
+def note(
+    ax: matplotlib.axes.Axes,
+    text: str,
+    at: tuple[float, float],
+    offset: tuple[float, float],
+    ha: str = "left",
+    va: str = "baseline",
+) -> None:
     """Write a few small words so many points beside a place."""
     ax.annotate(text, at, xytext=offset, textcoords="offset points", fontsize="small", ha=ha, va=va)
 

@@ -11,6 +11,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Progress
 from sampling_design.records.signatures import checked
 
 LARGEST = 1e140
@@ -78,6 +79,22 @@ class ErrorBoundArguments(TypedDict, total=False):
     w_bound: npt.ArrayLike | None
     v_bound: npt.ArrayLike | None
     initial_error: npt.ArrayLike | None
+
+
+class CertifyOptions(TypedDict, total=False):
+    """What `certify` takes of every plant."""
+
+    eta: float | None
+    Qw: npt.ArrayLike | None
+    R: npt.ArrayLike | None
+    Qv: npt.ArrayLike | None
+    noise_gain: float
+    budget: float | None
+    progress: Progress | None
+
+
+class BoundedOptions(CertifyOptions, ErrorBoundArguments, total=False):
+    """The same with bounds, which stand for the weights of an exactly known plant."""
 
 
 def weights_within(plant: Plant, eta: float, bounds: ErrorBoundArguments) -> tuple[Array, Array, Array, Array]:

@@ -139,6 +139,9 @@ class FamilyProgram:
     def _node_points(self) -> list[tuple[int, float]]:
         return [(u, s) for u, times in enumerate(self.node_times) for s in times]
 
+    def _is_infinite(self, node: int) -> bool:
+        return node == 0 and self.P2 is not None and not self.P2.size
+
     def _start(self, node: int, h: float) -> tuple[Array, Array, Array, Array]:
         """Rows of -[J P_u J'], right side blk(P_u, I) as far as it is given, Z's operator and E.
 
@@ -146,7 +149,7 @@ class FamilyProgram:
         """
         lift, press, E = self._flow(h)
         n = self.dynamics.size
-        if node == 0 and self.P2 is not None and not self.P2.size:
+        if self._is_infinite(node):
             L = E[:, n:]
             press = conic_programs.svec(L.T @ self.basis @ L).T
             return np.zeros((len(press), self._width)), np.eye(L.shape[1]), press, L
@@ -175,8 +178,9 @@ class FamilyProgram:
 
     def _node_above(self, node: int, s: float, form: Array, factor: float = 1.0) -> ConeRows:
         """Phi_s(P_u) above so many times the last variable times a form."""
-        rows, right, press, _ = self._start(node, s)
-        rows[:, -1] = factor * press @ conic_programs.svec(form)
+        rows, right, press, E = self._start(node, s)
+        exact = self._is_infinite(node)  # of its own products, as the edges there
+        rows[:, -1] = conic_programs.svec(E.T @ form @ E) if exact else factor * press @ conic_programs.svec(form)
         return "psd", _stored(rows), conic_programs.svec(right)
 
     def _matrices(self, x: Array) -> Array:

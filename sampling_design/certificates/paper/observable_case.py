@@ -29,9 +29,7 @@ CELLS = 20_000  # most cells ever opened; a stiffer plant keeps a proven but loo
 MODAL_CONDITION = 1e8  # modal coordinates are used only where their basis keeps half of the digits
 
 
-def largest_flow(
-    M: Array, A: Array, N: Array, duration: float, rtol: float = RTOL, cells: int = CELLS
-) -> tuple[float, float, float]:
+def largest_flow(M: Array, A: Array, N: Array, duration: float, cells: int = CELLS) -> tuple[float, float, float]:
     """Bound the spectral norm of M e^{As} N over s in [0, duration]: upper, lower bound, and where that is attained.
 
     Notes
@@ -41,7 +39,7 @@ def largest_flow(
     in d, and the remainder is Taylor's with |e^{Ad}| <= e^{m|d|}, m = max(mu(A), mu(-A)), mu the logarithmic norm.
     Where this is worse than |M e^{Aa} V| e^{m' 2h} |V^{-1} N| from the left end a (stiff plants after their fast
     modes died; V = I or the eigenvectors, m' = mu(V^{-1}AV)^+), that one is taken. A cell closes when its bound is
-    within `rtol` of the largest value met.
+    within `RTOL` of the largest value met.
     *Numerical aspects.* When `cells` are used up the open cells keep their bounds: looser, still proven. A final
     factor 1 + 64 n eps covers rounding.
     """
@@ -57,7 +55,7 @@ def largest_flow(
         if values[top] > best:
             best, at = float(values[top]), float(places[top])
         used += starts.size
-        open_ = bounds > (1 + rtol) * best
+        open_ = bounds > (1 + RTOL) * best
         if used + 2 * int(open_.sum()) > cells or half <= np.finfo(float).eps * duration:
             upper = max(upper, float(bounds.max()))
             break

@@ -63,14 +63,14 @@ def _start_count(problem: DesignProblem) -> int:
     return int(np.clip(_ENTRIES / (n * (n + 1) / 2), 8, 32))
 
 
-def relax_placed(problem: DesignProblem, points: int | None = None, seconds: float | None = None) -> Relaxation:
+def relax_placed(problem: DesignProblem, seconds: float | None = None) -> Relaxation:
     """Maximise t subject to sum_j w_j G(t_j - a_m) >= t I for every window start a_m on the grid.
 
     Cut short after `seconds`; multipliers of any quality prove a bound.
     """
     if repeating(problem):
-        return _relax_repeating(problem, problem.least_shift, points, seconds)
-    times, mask, starts, linear = relaxation_grid(problem, points)
+        return _relax_repeating(problem, problem.least_shift, seconds)
+    times, mask, starts, linear = relaxation_grid(problem)
     if seconds is not None and seconds <= 0:
         return unsolved(problem, times, starts)
     grams = grams_at(problem, times, starts, mask)
@@ -84,7 +84,7 @@ def repeating(problem: DesignProblem) -> bool:
     return not problem.fixed.size and problem.chosen is None and 0 < problem.least_shift < problem.period
 
 
-def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, seconds: float | None) -> Relaxation:
+def _relax_repeating(problem: DesignProblem, shift: float, seconds: float | None) -> Relaxation:
     """The same where what is allowed repeats after a `shift`: weights and multipliers of one repetition, for all.
 
     Solutions may be shifted too, and their mean is a solution that repeats. Windows are posed one by one, each time
@@ -93,7 +93,7 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
     P, budget = problem.period, Budget(seconds)
     repeats = round(P / shift)
     turns = np.arange(repeats, dtype=np.float64)[:, None] * shift
-    N = grid_size(problem) if points is None else points
+    N = grid_size(problem)
     N = max(-(-N // repeats), min(N, _PER_TURN))
     step, tiny, count = shift / N, 1e-9 * P, _start_count(problem)
     ends = np.concatenate([problem.intervals[:, 0], problem.intervals[:, 1] - tiny])
@@ -134,12 +134,9 @@ def unsolved(problem: DesignProblem, times: Array, starts: Array) -> Relaxation:
     return Relaxation(times, np.ones(times.size), starts, Z, np.inf, SolverRecord("none", status="budget"))
 
 
-def relaxation_grid(
-    problem: DesignProblem, points: int | None = None
-) -> tuple[Array, Mask, Array, tuple[Array, Array]]:
+def relaxation_grid(problem: DesignProblem) -> tuple[Array, Mask, Array, tuple[Array, Array]]:
     """Grid times for free samples, what is available there, window starts, and the spacing's rows and limits."""
-    N = grid_size(problem) if points is None else points
-    P = problem.period
+    N, P = grid_size(problem), problem.period
     step, tiny = P / N, 1e-9 * P
     ends = np.concatenate([problem.intervals[:, 0], problem.intervals[:, 1] - tiny])
     times = np.arange(N, dtype=np.float64) * step

@@ -65,14 +65,10 @@ class DesignProblem:
         return bare and all(a is None for a in self.available)
 
     @property
-    def open_time(self) -> float:
-        """Share of the period, as a time, in which some output may be measured."""
-        return float(np.diff(self.intervals, axis=1).sum())
-
-    @property
     def always_has_room(self) -> bool:
         """Whether every schedule with a sample fewer leaves room, and money, for one more; it then sees no less."""
-        return not self.is_costly and self.open_time > 2 * self.spacing * (self.samples - 1) * (1 + SLACK)
+        open_time = float(np.diff(self.intervals, axis=1).sum())  # of the period
+        return not self.is_costly and open_time > 2 * self.spacing * (self.samples - 1) * (1 + SLACK)
 
     @property
     def is_costly(self) -> bool:
@@ -222,13 +218,13 @@ class DesignProblem:
             return self._around(gap)
         return max((self._count(a, a + self.period - gap, gap) for a, _ in self.intervals), default=0)
 
-    def packing(self, spacing: float | None = None) -> Array:
+    def packing(self) -> Array:
         """Times of a schedule with as many samples as there is room for.
 
         An optimal packing can be pushed left until some sample lies at the left end of an interval (or
         just after a fixed one), so that greedy placement from each left end finds it.
         """
-        gap = self.spacing if spacing is None else spacing
+        gap = self.spacing
         if self.fixed.size:
             inner = [self._greedy(a + gap, b - gap, gap) for a, b in self._between_fixed]
             return np.sort(np.mod(np.concatenate([self.fixed, *inner]), self.period))

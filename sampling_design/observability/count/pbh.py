@@ -237,9 +237,7 @@ class _Pair:
 
 
 @checked
-def require_observable(
-    plant: Plant, purpose: str, decay_rate: float | None = None, *, rtol: float = RANK_TOLERANCE
-) -> None:
+def require_observable(plant: Plant, purpose: str, decay_rate: float | None = None) -> None:
     """Raise if some mode is observed by no output.
 
     Parameters
@@ -247,7 +245,7 @@ def require_observable(
     plant : Plant
     purpose : str
         What needs it; begins the message.
-    decay_rate, rtol : float
+    decay_rate : float
         As for `unobservable_modes`. Instead of a part that was split off ask the plant: the part's coordinates hold
         rounding, which may show what no output observes.
 
@@ -260,7 +258,7 @@ def require_observable(
     NotObservableError
         If a mode is unobservable; carries the eigenvalues and directions.
     """
-    hidden = unobservable_modes(plant, decay_rate, rtol=rtol)
+    hidden = unobservable_modes(plant, decay_rate)
     if len(hidden):
         raise NotObservableError(
             f"{purpose} needs every mode to be observable; unobservable: {hidden.describe()}. Add an output that "
@@ -270,15 +268,15 @@ def require_observable(
         )
 
 
-def observable_rank(plant: Plant, outputs: list[int], *, rtol: float = RANK_TOLERANCE) -> int:
+def observable_rank(plant: Plant, outputs: list[int]) -> int:
     """Return the dimension of what the given outputs see together, the rank of [C; CA; ...; CA^{n-1}].
 
     Notes
     -----
     *Method.* The sum over groups of eigenvalues of the rank of [C X; C X N; C X N^2; ...], X a basis of the group's
     invariant subspace and N what A does there beside its mean. *Numerical aspects.* A row counts relative to what
-    |C||X| could show, so that neither fast modes nor units of the outputs decide; singular values below `rtol` are
-    zero.
+    |C||X| could show, so that neither fast modes nor units of the outputs decide; singular values below
+    `RANK_TOLERANCE` are zero.
     """
     form, grouped = _grouped(plant)
     C = balanced_rows(plant.C[outputs], form.d)
@@ -293,7 +291,7 @@ def observable_rank(plant: Plant, outputs: list[int], *, rtol: float = RANK_TOLE
         stack = [rows]
         for _ in range(1, len(group)):
             stack.append(stack[-1] @ N)
-        rank += int(np.sum(np.linalg.svd(np.vstack(stack), compute_uv=False) > rtol))
+        rank += int(np.sum(np.linalg.svd(np.vstack(stack), compute_uv=False) > RANK_TOLERANCE))
     return rank
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TypedDict, Unpack
+from typing import Unpack
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.exact.bound_weights import CertifyOptions
 from sampling_design.certificates.exact.given_weights import above_one, certifiable_schedule, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.families.certify_family import best_rates
@@ -35,18 +36,6 @@ SUSPECTS = 24
 LONGEST_LOOK = 6.0  # seconds of that search
 MOST_UNKNOWNS = 4000  # of a program with more memory than the least: it would take minutes
 BISECTIONS, CLOSE = 12, 1.003  # of the longest gap: at most so many, until both ends are this near
-
-
-class CertifyOptions(TypedDict, total=False):
-    """What `certify` hands on."""
-
-    eta: float | None
-    Qw: npt.ArrayLike | None
-    R: npt.ArrayLike | None
-    Qv: npt.ArrayLike | None
-    noise_gain: float
-    budget: float | None
-    progress: Progress | None
 
 
 @checked

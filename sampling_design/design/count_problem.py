@@ -30,9 +30,10 @@ def rival_counts(plant: Plant, requirement: Requirement) -> list[int]:
     if "exactly" in wanted:
         return [wanted["exactly"]]
     low = wanted.get("at_least", 1)
-    room = pose(plant, requirement, low, check=False).capacity()
-    if "at_most" not in wanted:
-        high = min(room, _needed(plant, requirement, low))
+    problem = pose(plant, requirement, low, check=False)
+    room = problem.capacity()
+    if "at_most" not in wanted:  # up to where every window holds measurements enough
+        high = min(room, max(low, problem.fixed.size, fewest_samples(problem)))
         return [next((k for k in range(low, high + 1) if _can_be(plant, requirement, k)), low)]
     high = max(min(wanted["at_most"], room), low)
     counts: list[int] = []
@@ -46,12 +47,6 @@ def rival_counts(plant: Plant, requirement: Requirement) -> list[int]:
 
 def _can_be(plant: Plant, requirement: Requirement, samples: int) -> bool:
     return obstacle(pose(plant, requirement, samples, check=False)) is None
-
-
-def _needed(plant: Plant, requirement: Requirement, least: int) -> int:
-    """The count from which every window holds measurements enough, or `least` if that is more."""
-    problem = pose(plant, requirement, least, check=False)
-    return max(least, problem.fixed.size, fewest_samples(problem))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from sampling_design.design.problem.canonical import SAME_RATIO, joined
+from sampling_design.design.problem.canonical import SAME_RATIO
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.feasible import obstacle
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.sensor import complement, joined
 
 
 def parts(problem: DesignProblem) -> int:
@@ -41,7 +42,7 @@ def folded(problem: DesignProblem) -> DesignProblem | None:
         forbidden=_folded(problem.forbidden, period, count),
         fixed=fixed[apart],
         available=tuple(  # what intervals have in common in every part
-            None if a is None else _rest(_folded(_rest(a, problem.period), period, count), period)
+            None if a is None else complement(_folded(complement(a, problem.period), period, count), period)
             for a in problem.available
         ),
         costs=problem.costs,
@@ -65,9 +66,3 @@ def _folded(spans: Array, period: float, count: int) -> Array:
     pieces = [(a - cycle * period, b - cycle * period) for a, b in spans for cycle in range(count + 1)]
     inside = [(max(float(a), 0.0), min(float(b), period)) for a, b in pieces if b > 0 and a < period]
     return joined(np.array(inside).reshape(-1, 2))
-
-
-def _rest(spans: Array, period: float) -> Array:
-    """What disjoint sorted intervals leave of the period."""
-    ends = np.concatenate([[0.0], np.minimum(spans, period).ravel(), [period]]).reshape(-1, 2)
-    return ends[ends[:, 1] > ends[:, 0]]

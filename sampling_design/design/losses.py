@@ -180,9 +180,7 @@ def sample_losses(
         if progress:
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
-    bound = np.maximum(
-        _bounds(design, every_period, given, rng), lower
-    )  # a bound may round to just below a tight proof
+    bound = np.maximum(_bounds(design, periods, every_period, given, rng), lower)  # it may round to just below a proof
     lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
     times, left = design.schedule.times, None if given.over else design.deviations
     return SampleLosses(times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit, left)
@@ -233,11 +231,10 @@ def design_and_losses(
     return design, sample_losses(design, every_period=every_period, rng=rng, budget=half, progress=progress)
 
 
-def _bounds(design: ScheduleDesign, every_period: bool, budget: Budget, rng: Seed) -> Array:
+def _bounds(design: ScheduleDesign, periods: int, every_period: bool, budget: Budget, rng: Seed) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
-    periods = 1 if every_period else periods_touched(schedule, float(requirement.window or 0))
     plant = designed_plant(design.split)
     known: dict[float | None, float] = {}
     keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]

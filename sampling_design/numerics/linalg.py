@@ -17,6 +17,7 @@ _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below 
 SHORT = 0.25  # |A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps
 _REFINEMENTS = 20  # of a solve, at most: each brings what the condition number leaves of 16 digits
 _GRAMIAN_DEGREE = 16  # likewise, of its integral
+BITS = 40  # binary digits that a search keeps: far above rounding, far below what it can tell apart
 KEPT_ENTRIES = 4096  # numbers of the largest answer that is kept: all of them stay below 5 MB
 _BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
 
@@ -278,6 +279,12 @@ def symmetrise(matrix: Array) -> Array:
     total: Array = matrix + matrix.swapaxes(-1, -2)
     total /= 2
     return total
+
+
+def cut(numbers: npt.ArrayLike) -> Array:
+    """Return numbers with `BITS` binary digits."""
+    part, exponent = np.frexp(np.asarray(numbers, dtype=np.float64))
+    return np.asarray(np.ldexp(np.rint(np.ldexp(part, BITS)), exponent - BITS))
 
 
 def positive_or_one(values: Array) -> Array:

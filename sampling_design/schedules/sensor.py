@@ -243,6 +243,17 @@ def complement(spans: Array, period: float) -> Array:
     return np.asarray(edges[edges[:, 1] > edges[:, 0]])
 
 
+def joined(spans: Array, tiny: float = 0.0) -> Array:
+    """Sorted disjoint intervals (m, 2); those that overlap, or are no more than `tiny` apart, are one."""
+    found: list[list[float]] = []
+    for a, b in spans[np.argsort(spans[:, 0], kind="stable")].tolist():
+        if found and a <= found[-1][1] + tiny:
+            found[-1][1] = max(found[-1][1], b)
+        else:
+            found.append([a, b])
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
 def spans_in_words(value: Array | Dates | None, empty: str) -> str:
     """Windows in words."""
     if value is None or not len(value):
@@ -266,13 +277,7 @@ def intervals(name: str, value: object) -> Array:
             f"`{name}` must hold intervals [start, stop) with start < stop, got [{float(a)!r}, {float(b)!r}]. "
             "An interval over the end of the period is written as two."
         )
-    joined: list[list[float]] = []
-    for a, b in array[np.argsort(array[:, 0])]:
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], float(b))
-        else:
-            joined.append([float(a), float(b)])
-    return checks.freeze(joined)
+    return checks.freeze(joined(array))
 
 
 def common(first: Array | None, second: Array | None) -> Array | None:

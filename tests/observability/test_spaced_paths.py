@@ -66,7 +66,7 @@ def test_curves_never_sink_below_their_lowered_chords(cells, seed, monkeypatch):
     value, bent = (part[0].transpose(0, 2, 1) @ (z + d) for part in table.against(z[None], at)[:2])
     here = at[0, :, :-1]
     sink = np.maximum(bent[:, :-1], bent[:, 1:]) * table.eighth[here]
-    low = value - around(np.maximum(sink + table.beyond[here] * np.linalg.norm(X, "nuc"), 0.0))
+    low = value - around(np.maximum(sink + table.beyond[here] * np.linalg.norm(X, "nuc"), 0.0), -1)
     knots, fine = tables.knot(cells, np.arange(cells + 1)), np.linspace(0, rows.slack, 40 * cells + 1)
     for i in range(2):
         seen = rows.at(fine + rows.offsets[i]) @ tables.basis

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.linalg import cut, positive_or_one
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule
@@ -24,7 +25,6 @@ RANGE = 2.0**400
 """Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
 LATE = 10
 """Gaps before the first sample from which on dates are suspected that do not count from the schedule's beginning."""
-BITS = 40  # binary digits that a search keeps: far above rounding, far below what it can tell apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +96,14 @@ def canonical(
 
 
 def evened(canon: ScaledProblem) -> ScaledProblem:
-    """The same problem in units that are no powers of two, with `BITS` digits: a search there is the same in all units.
+    """The same problem in units that are no powers of two, digits `cut`: a search there is the same in all units.
 
     What is found there is proven on the problem itself.
     """
     gaps = canon.schedule.gaps if canon.schedule.gaps.size else canon.schedule.times
     time, (Qw, R, Qv) = float(np.mean(gaps)), canon.weights
-    w, y = _root_of_inverse(np.diagonal(Qw) * time), _root_of_inverse(np.maximum(np.diagonal(R), np.diagonal(Qv)))
+    sizes = np.diagonal(Qw) * time, np.maximum(np.diagonal(R), np.diagonal(Qv))
+    w, y = (1 / np.sqrt(positive_or_one(each)) for each in sizes)
     x, plant, old = canon.sizes, canon.plant, canon.schedule
     details = ((plant.states, x), (plant.outputs, y), (plant.disturbances, w))
     states, outputs, disturbances = (Signals(s.names, (), cut(s.scales / own)) for s, own in details)
@@ -119,16 +120,6 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
     return ScaledProblem(
         scaled, schedule, NoiseWeights(*kept), canon.x * x, canon.w * w, canon.y * y, canon.time * time, np.ones_like(x)
     )
-
-
-def cut(numbers: npt.ArrayLike) -> Array:
-    """Numbers to `BITS` binary digits."""
-    part, exponent = np.frexp(np.asarray(numbers, dtype=np.float64))
-    return np.asarray(np.ldexp(np.rint(np.ldexp(part, BITS)), exponent - BITS))
-
-
-def _root_of_inverse(sizes: Array) -> Array:
-    return np.asarray(1 / np.sqrt(np.where(sizes > 0, sizes, 1.0)))
 
 
 def followed(canon: ScaledProblem, eta: float) -> None:

@@ -9,7 +9,14 @@ import numpy as np
 
 from sampling_design.design.bounds.gap_bound import gap_bound, relax_gaps
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
-from sampling_design.design.bounds.relaxation import JUST_BESIDE, LEAST_SECONDS, Relaxation, grams_at, relax_placed
+from sampling_design.design.bounds.relaxation import (
+    JUST_BESIDE,
+    LEAST_SECONDS,
+    Relaxation,
+    grams_at,
+    psd_part,
+    relax_placed,
+)
 from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
 from sampling_design.design.bounds.zone_bound import matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import (
@@ -28,7 +35,7 @@ from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.feasible import changed, without_hours
 from sampling_design.design.problem.gram import MANY_STATES
-from sampling_design.numerics.linalg import expm_batch, psd_root
+from sampling_design.numerics.linalg import expm_batch, psd_root, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
@@ -168,22 +175,20 @@ class UpperBound:
         if side not in sides(problem):
             return False
         whole = regions(problem, side)
-        boxes: dict[bytes, list[list[Array]]] = {}
+        boxes: dict[bytes, dict[int, list[Array]]] = {}
         for part in self.parts:
             home = region_of(problem, side, part.zones)
             if home is None:
                 return False
-            boxes.setdefault(part.chosen.tobytes(), [[] for _ in whole])[home].append(part.zones)
-        if b"" in boxes:  # whatever is measured
-            return len(boxes) == 1 and all(covered(problem, r, boxes[b""][i], side) for i, r in enumerate(whole))
-        choices = affordable_choices(problem)
-        if not choices or not {chosen.tobytes() for chosen in choices} >= set(boxes):
-            return False
-        for chosen in choices:
-            posed, there = changed(problem, {"chosen": chosen}), boxes.get(chosen.tobytes(), [[] for _ in whole])
-            if not all(covered(posed, region, there[i], side) for i, region in enumerate(whole)):
-                return False
-        return True
+            boxes.setdefault(part.chosen.tobytes(), {}).setdefault(home, []).append(part.zones)
+        posed = {b"": problem}  # whatever is measured
+        if b"" not in boxes:
+            posed = {c.tobytes(): changed(problem, {"chosen": c}) for c in affordable_choices(problem)}
+        return set(boxes) <= set(posed) and all(
+            covered(case, region, boxes.get(chosen, {}).get(home, []), side)
+            for chosen, case in posed.items()
+            for home, region in enumerate(whole)
+        )
 
     def brought_back(self, canon: CanonicalDesign) -> UpperBound:
         """The multipliers found in canonical units as a bound of the problem itself, worked out for it anew."""
@@ -223,9 +228,7 @@ def _part(
 ) -> BoundPart:
     """A part from multipliers in the scaled basis."""
     S = problem.rows.S
-    weights = S @ Z @ S.T
-    values, vectors = np.linalg.eigh((weights + np.swapaxes(weights, 1, 2)) / 2)
-    weights = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    weights = psd_part(symmetrise(S @ Z @ S.T))
     traces = np.trace(weights, axis1=1, axis2=2)
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
@@ -358,8 +361,7 @@ def gap_bounded(problem: DesignProblem, known: UpperBound, sigma: float, budget:
         if found is None:
             break
         gaps, Z, potential = found
-        weights = problem.rows.S @ Z @ problem.rows.S.T
-        weights = (weights + np.swapaxes(weights, 1, 2)) / 2
+        weights = symmetrise(problem.rows.S @ Z @ problem.rows.S.T)
         total = float(np.trace(weights, axis1=1, axis2=2).sum())
         part = BoundPart("gaps", gaps, weights / total, tilt=potential / total).judged(problem)
         known = UpperBound(part.value, (part,)) if part.value < known.value else known

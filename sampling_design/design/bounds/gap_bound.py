@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design.design.bounds.relaxation import grams_at
+from sampling_design.design.bounds.relaxation import grams_at, psd_part
 from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.weak_duality import rooted
 from sampling_design.design.problem.design_problem import DesignProblem
@@ -241,9 +241,8 @@ class _Program:
     def taken_from(self, x: Array) -> tuple[Array, Array]:
         """Psd Z at the nodes, and V at the knots after the first."""
         start, end, _ = self.columns
-        values, vectors = np.linalg.eigh(conic_programs.smat(x[:start].reshape(-1, self.entries)))
-        Z = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-        return np.asarray(Z), np.append(x[start + 1 : end], 0.0)
+        Z = psd_part(conic_programs.smat(x[:start].reshape(-1, self.entries)))
+        return Z, np.append(x[start + 1 : end], 0.0)
 
 
 def _least_observable(problem: DesignProblem) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import lags
+from sampling_design.design.problem.orthogonal_flow import squares
 from sampling_design.numerics import conic_programs
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -178,8 +179,7 @@ def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) ->
     n, p = problem.plant.n_states, problem.plant.n_outputs
     r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, problem.closes(starts)[:, None])
     c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
-    c = c.reshape(starts.size, times.size, -1, n) if times.size else np.zeros((starts.size, 0, p, n))
-    return np.asarray(np.swapaxes(c, -1, -2) @ c)
+    return squares(c.reshape(starts.size, times.size, -1, n) if times.size else np.zeros((starts.size, 0, p, n)))
 
 
 def sigma_of_moved(problem: DesignProblem, times: Array, mask: Mask) -> float:
@@ -194,20 +194,14 @@ def sigma_of_moved(problem: DesignProblem, times: Array, mask: Mask) -> float:
     r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, closed)
     c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
     c = c.reshape(starts.size, -1, *c.shape[-2:])
-    sigma2, z = rows.least(_summed(c))
+    sigma2, z = rows.least(squares(c.reshape(starts.size, -1, c.shape[-1])))
     worst = sigma2.min()
     for _ in range(_MOVED if len(problem.moves) > 1 else 0):
         observed = c @ (problem.moves @ z.T).transpose(0, 2, 1)[:, :, None, :, None]
         least = problem.moves[np.argmin(np.sum(observed**2, axis=(3, 4)), axis=0)]
-        sigma2, z = rows.least(_summed(c @ least))
+        sigma2, z = rows.least(squares((c @ least).reshape(starts.size, -1, c.shape[-1])))
         worst = min(worst, sigma2.min())
     return float(np.sqrt(max(worst, 0.0)))
-
-
-def _summed(rows: Array) -> Array:
-    """Gram matrices (M, n, n) of rows (M, N, p, n)."""
-    rows = rows.reshape(len(rows), -1, rows.shape[-1])
-    return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
 
 
 def solve_relaxation(
@@ -244,7 +238,7 @@ def solve_relaxation(
 def feasible_multipliers(problem: DesignProblem, found: Sequence[Array]) -> tuple[Array, float]:
     """Psd parts with sum <Z_m, S'S> = 1, and what they were divided by; any such give a true bound."""
     rows = problem.rows
-    Z = _psd_part(np.array(found))
+    Z = psd_part(np.array(found))
     mass = float(np.einsum("mij,ij->", Z, rows.N)) * rows.unit
     if not np.isfinite(mass) or mass <= 0:  # nothing usable came back
         Z = np.broadcast_to(rows.R @ rows.R.T, Z.shape).copy()
@@ -252,7 +246,7 @@ def feasible_multipliers(problem: DesignProblem, found: Sequence[Array]) -> tupl
     return Z / mass, mass
 
 
-def _psd_part(Z: Array) -> Array:
+def psd_part(Z: Array) -> Array:
     """Nearest psd matrices of a stack; entries that are not finite count as zero."""
     values, vectors = np.linalg.eigh(np.nan_to_num(Z))
     return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))

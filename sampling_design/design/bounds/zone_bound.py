@@ -29,10 +29,10 @@ from sampling_design.design.bounds.weak_duality import (
     rooted,
 )
 from sampling_design.design.bounds.zones import TINY
-from sampling_design.design.problem.canonical import joined
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
+from sampling_design.schedules.sensor import joined
 
 _MOST_POINTS = 480  # however many cycles a window holds: cost grows with its square, and the bound is true with any
 _POINTS = 48  # grid times of one relaxation at least, spread over the zones

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.design_problem import ON_AN_END, DesignProblem
+from sampling_design.numerics.linalg import BITS, cut
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.sensor import joined
 
-BITS = 40  # binary digits that are kept: far above rounding, far below the tolerance of every search
 SAME_RATIO = 1e-11  # relative: window/period counts as a ratio of whole numbers where it is one to rounding
 _MOST_PARTS = 64  # of a window or a period: larger ratios are met by chance
 
@@ -63,27 +63,27 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
     time = problem.window / windows
     size = float(np.max(np.abs(plant.C), initial=0.0)) or 1.0
 
-    period = float(periods or _cut(problem.period / time))
+    period = float(periods or cut(problem.period / time))
     origin = problem.origin
 
     def turned(times: Array) -> Array:
         """Times from the origin on, in [0, period); those beside the origin, to rounding, are there."""
-        t = _cut(np.mod(times - origin, problem.period) / time)
+        t = cut(np.mod(times - origin, problem.period) / time)
         return np.where(t > period * (1 - ON_AN_END), 0.0, t)
 
     def spans(ends: Array) -> Array:
         """Intervals as they are cut by the new end of the period, and joined at the old one."""
         starts = turned(ends[:, 0])
-        stops = np.minimum(_cut(starts + (ends[:, 1] - ends[:, 0]) / time), starts + period)
+        stops = np.minimum(cut(starts + (ends[:, 1] - ends[:, 0]) / time), starts + period)
         later = stops > period * (1 + ON_AN_END)
         first = np.stack([starts, np.minimum(stops, period)], axis=1)
-        rest = np.stack([np.zeros(int(later.sum())), _cut(stops[later] - period)], axis=1)
+        rest = np.stack([np.zeros(int(later.sum())), cut(stops[later] - period)], axis=1)
         return joined(np.concatenate([first, rest]), ON_AN_END * period)
 
-    spacing = _cut(problem.spacing / time)
+    spacing = cut(problem.spacing / time)
     inside = replace(
         problem,
-        plant=Plant(_cut(plant.A * time), _cut(plant.C / size)),
+        plant=Plant(cut(plant.A * time), cut(plant.C / size)),
         window=float(windows),
         late=problem.late / time,
         period=period,
@@ -93,17 +93,6 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
         available=tuple(None if a is None else spans(a) for a in problem.available),
     )
     return CanonicalDesign(problem, inside, time, size, origin)
-
-
-def joined(spans: Array, tiny: float = 0.0) -> Array:
-    """Sorted disjoint intervals (m, 2); those that overlap, or are no more than `tiny` apart, are one."""
-    found: list[list[float]] = []
-    for a, b in spans[np.argsort(spans[:, 0], kind="stable")].tolist():
-        if found and a <= found[-1][1] + tiny:
-            found[-1][1] = max(found[-1][1], b)
-        else:
-            found.append([a, b])
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def tied_again(problem: DesignProblem, times: Array) -> Array:
@@ -133,9 +122,3 @@ def ratio_of(problem: DesignProblem) -> tuple[int, int] | None:
     near = Fraction(ratio).limit_denominator(_MOST_PARTS)
     same = abs(float(near) - ratio) <= SAME_RATIO * ratio and near.numerator <= _MOST_PARTS
     return (near.numerator, near.denominator) if same else None
-
-
-def _cut(numbers: npt.ArrayLike) -> Array:
-    """The numbers with `BITS` binary digits."""
-    part, exponent = np.frexp(numbers)
-    return np.asarray(np.ldexp(np.rint(np.ldexp(part, BITS)), exponent - BITS))

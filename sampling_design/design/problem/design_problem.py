@@ -13,6 +13,7 @@ from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.schedules.sensor import joined
 
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
 _COUNTED = 10**15  # where there is room for more samples than that, nobody asks how many
@@ -124,14 +125,8 @@ class DesignProblem:
     def intervals_of(self, outputs: Mask) -> Array:
         """The same for some of the `outputs` (p,)."""
         edges = self.breakpoints
-        open_: list[bool] = np.any(self.mask((edges[:-1] + edges[1:]) / 2) & outputs, axis=-1).tolist()
-        found: list[list[float]] = []
-        for a, b, good in zip(edges[:-1], edges[1:], open_, strict=True):
-            if good and found and found[-1][1] == a:
-                found[-1][1] = float(b)
-            elif good:
-                found.append([float(a), float(b)])
-        return np.array(found).reshape(-1, 2)
+        open_ = np.any(self.mask((edges[:-1] + edges[1:]) / 2) & outputs, axis=-1)
+        return joined(np.stack([edges[:-1], edges[1:]], axis=1)[open_])
 
     def closes(self, times: Array) -> Mask:
         """Which of the `times`, mod period, are those at which an open interval ends: no sample is allowed then.

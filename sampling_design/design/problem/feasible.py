@@ -10,6 +10,7 @@ import numpy as np
 from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.records.arrays import Array
+from sampling_design.schedules.sensor import complement
 
 _REPAIRS = 5  # constraints that may have to give way together
 _SHARE = 1 - 1e-3  # of the room that is just enough: a schedule with no freedom at all is hard to find
@@ -201,7 +202,8 @@ def _shrunk_forbidden(problem: DesignProblem, share: float) -> Change:
 
 
 def _shrunk_all(problem: DesignProblem, share: float) -> Change:
-    spans = tuple(None if a is None else _rest(_shrunk(_rest(a, problem), share), problem) for a in problem.available)
+    P = problem.period
+    spans = tuple(None if a is None else complement(_shrunk(complement(a, P), share), P) for a in problem.available)
     return {"available": spans, **(_shrunk_forbidden(problem, share) if problem.forbidden.size else {})}
 
 
@@ -209,9 +211,3 @@ def _shrunk(spans: Array, share: float) -> Array:
     """Intervals cut at their ends to a share of their length."""
     stops = spans[:, 0] + share * (spans[:, 1] - spans[:, 0])
     return np.stack([spans[:, 0], stops], axis=1)[stops > spans[:, 0]]
-
-
-def _rest(spans: Array, problem: DesignProblem) -> Array:
-    """What intervals leave of the period."""
-    edges = np.concatenate([[0.0], spans[np.argsort(spans[:, 0])].ravel(), [problem.period]]).reshape(-1, 2)
-    return edges[edges[:, 1] > edges[:, 0]]

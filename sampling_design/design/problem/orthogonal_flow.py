@@ -50,7 +50,7 @@ class OrthogonalFlowWindows:
 
     def _windows(self, rows: list[Array]) -> Array:
         """The Gram matrices of the windows, of the rows of each repetition."""
-        grams_of_repeats = [_squares(each) for each in rows]
+        grams_of_repeats = [squares(each) for each in rows]
         first = np.sum(grams_of_repeats[:-1], axis=(0, 2))[:, None]
         moved = np.cumsum((grams_of_repeats[-1] - grams_of_repeats[0])[:, :-1], axis=1)
         return np.concatenate([first, first + moved], axis=1)
@@ -88,5 +88,6 @@ class OrthogonalFlowWindows:
         return least - float(np.log(total)) / sharpness, slope
 
 
-def _squares(rows: Array) -> Array:
+def squares(rows: Array) -> Array:
+    """Gram matrices of rows (..., p, n)."""
     return np.asarray(np.swapaxes(rows, -1, -2) @ rows)

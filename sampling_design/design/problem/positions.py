@@ -19,7 +19,7 @@ import numpy as np
 
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import ScaledRows
-from sampling_design.design.problem.orthogonal_flow import BATCH_NUMBERS
+from sampling_design.design.problem.orthogonal_flow import BATCH_NUMBERS, squares
 from sampling_design.records.arrays import Array, Index, Mask
 
 _WHOLE = 1e-11  # of the period: what lies this near to each other lies together
@@ -39,10 +39,10 @@ class SlidingSums:
         measured = np.tile(mask, (1, periods.size, 1))
         self.block = np.ceil(self.s / self.length)
         c = rows.C * measured[..., None]
-        self.tail = self._tails(np.swapaxes(c, -1, -2) @ c)
+        self.tail = self._tails(squares(c))
         r = np.clip(self.s - (self.block - 1) * self.length, 0.0, rows.window)
         c = rows.rows(r) * measured[..., None]
-        self.head = self._heads(np.swapaxes(c, -1, -2) @ c)
+        self.head = self._heads(squares(c))
 
     def _tails(self, own: Array) -> Array:
         """Sums from each sample to the end of its block, seen from that sample; spans double."""

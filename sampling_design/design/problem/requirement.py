@@ -165,7 +165,8 @@ class Requirement(WrittenRecord):
             raise ArgumentError(f"`fixed` must lie in [0, period) = [0, {period!r}), got {float(self.fixed[-1])!r}.")
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [(key, _given(getattr(self, key))) for key in ("window", "period", "spacing")]
+        lengths = {key: getattr(self, key) for key in ("window", "period", "spacing")}
+        rows = [(key, "default" if length is None else short(length)) for key, length in lengths.items()]
         if self.of is not None:
             rows.append(("of", rows_in_words(self.of)))
         rows.append(("samples", ", ".join(f"{k} {v}" for k, v in self.samples.items()) or "default"))
@@ -200,10 +201,6 @@ class Requirement(WrittenRecord):
         if self.cost_limit is not None:
             parts.append(f"cost at most {short(self.cost_limit)} a period")
         return ", ".join(parts) + "."
-
-
-def _given(value: float | None) -> str:
-    return "default" if value is None else short(value)
 
 
 def _counts(value: object) -> dict[str, int]:

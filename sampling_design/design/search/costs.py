@@ -236,7 +236,7 @@ def _exchanged(problem: DesignProblem, times: Array, used: Mask, budget: Budget)
         absent = list(zip(*np.nonzero(there & ~used), strict=True))
         moves = list(_flipped(used, absent)) if absent else []
         for i, j in zip(*np.nonzero(used), strict=True):
-            moves += [_flipped(m[None][0], [(i, j)])[0] for m in moves[: len(absent)]]
+            moves += [_flipped(m, [(i, j)])[0] for m in moves[: len(absent)]]
         kept = [m for m in moves if np.sum(m * costs) <= limit and m.any(axis=1).all()]
         if not kept or budget.over:
             break

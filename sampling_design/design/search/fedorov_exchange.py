@@ -51,7 +51,7 @@ def at_shares(problem: DesignProblem, shares: Array) -> Array | None:
 
 
 def shares_of(problem: DesignProblem, times: Array) -> Array:
-    """The inverse of `spread`: at which share of the allowed time each of `times` lies."""
+    """The inverse of `at_shares`: at which share of the allowed time each of `times` lies."""
     lengths = np.diff(problem.intervals, axis=1)[:, 0]
     place = np.searchsorted(problem.intervals[:, 0], times, side="right") - 1
     before = np.cumsum(lengths)[place] - lengths[place]

@@ -26,7 +26,7 @@ import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.problem.design_problem import DesignProblem
-from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
+from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows, squares
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -125,10 +125,10 @@ class HeatBath:
         The windows begin just before each of the `others` (k - 1 of them, sorted, with their rows), and before it.
         """
         n, k = early.shape[-1], others.size
-        squares = _squares(early)
+        squares_of_early = squares(early)
         W = np.empty((k + 1, n, n))
-        W[0] = squares.sum(axis=0)
-        np.add(W[0], np.cumsum(_squares(late) - squares, axis=0), out=W[1:])
+        W[0] = squares_of_early.sum(axis=0)
+        np.add(W[0], np.cumsum(squares(late) - squares_of_early, axis=0), out=W[1:])
         least = float(np.linalg.eigvalsh(W)[:, 0].min()) - _BELOW * self.unit
         inverse = np.linalg.inv(W - least * np.eye(n))
         both = np.concatenate([inverse, inverse @ inverse])[:, *self._upper]
@@ -189,10 +189,6 @@ class HeatBath:
                 kept = [one for one in kept if one[0] not in alike]
                 kept = sorted([*kept, (value, known[chosen])], key=lambda one: -one[0])[:_KEPT]
         return kept
-
-
-def _squares(rows: Array) -> Array:
-    return np.asarray(np.swapaxes(rows, -1, -2) @ rows)
 
 
 def _products(X: Array) -> Array:

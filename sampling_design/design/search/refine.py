@@ -116,13 +116,11 @@ def _limits(problem: DesignProblem, times: Array, trust: float) -> tuple[Array, 
     eye = np.eye(k)
     apart = eye - np.roll(eye, -1, axis=0)  # s_i - s_{i+1} <= distance - gap
     distance = np.diff(np.append(times, times[0] + period))
-    rows, bounds = [eye, -eye], [np.ones(k), np.ones(k)]
+    free = np.where(np.isin(times, problem.fixed), 0.0, 1.0)
+    rows, bounds = [eye, -eye], [free, free]
     if k > 1:
         rows.append(apart)
         bounds.append(np.maximum(distance - gap, 0.0) / trust)
-    frozen = np.isin(times, problem.fixed)
-    bounds[0] = np.where(frozen, 0.0, 1.0)
-    bounds[1] = np.where(frozen, 0.0, 1.0)
     if not problem.is_shift_invariant:
         edges = problem.breakpoints
         place = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, edges.size - 2)

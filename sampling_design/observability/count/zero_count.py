@@ -27,6 +27,7 @@ MOST_SAMPLES = 1e15  # beyond, the next whole number is no double any more
 LARGEST_SUBSETS = 12  # outputs up to which every set of outputs is tried for the lower bound (2^12 rank decisions)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class SampleCount(PlainRecord):
     """How many samples in a closed window of length `duration` determine the state of every plant asked about."""
 
@@ -68,11 +69,7 @@ class ZeroCountBound(SampleCount):
     time_unit : str
     """
 
-    value: float
-    samples_needed: int
     order: int
-    frequency_spread: float
-    duration: float
     n_states: int
     n_outputs: int
     critical_length: float | None

@@ -29,6 +29,7 @@ from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, 
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.balls import SHAVES, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows, output_groups
+from sampling_design.observability.worst_case.spaced_sphere import around
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
@@ -184,8 +185,8 @@ class WorstCase:
             most, beyond = np.maximum(bent[:, :-1], bent[:, 1:]), table.fourth[..., None] * nuclear
             if moved := bent.shape[2] > 1:
                 most, beyond = np.maximum(most[:, :, :-1], most[:, :, 1:]), beyond[:, :, :-1]
-            sink = _around(np.maximum(most + beyond, 0.0) * UP, 1)
-            low = value - (_around(sink, 2) if moved else sink)
+            sink = around(np.maximum(most + beyond, 0.0) * UP, 1)
+            low = value - (around(sink, 2) if moved else sink)
             costs.append((low.min(axis=2), value.min(axis=2)))
         found = [self._path(np.asarray(sum(each[1:], start=each[0]))) for each in zip(*costs, strict=True)]
         shape = X.shape[:-1]
@@ -261,13 +262,6 @@ class WorstCase:
         """How much a step along each axis costs: the mean diagonal of G."""
         grams = [table.gram[..., self.upper[0] == self.upper[1]] for table in self.tables(FIRST_GRID)]
         return np.asarray(sum(gram.mean(axis=(0, 1, 2)) for gram in grams))
-
-
-def _around(cells: Array, axis: int) -> Array:
-    """What the cells on either side of each knot take at most, along one axis."""
-    cells = np.moveaxis(cells, axis, 0)
-    found = np.concatenate([cells[:1], np.maximum(cells[:-1], cells[1:]), cells[-1:]])
-    return np.moveaxis(found, 0, axis)
 
 
 def prove_worst_sigma(

@@ -474,13 +474,12 @@ def _sunk(bent: Array, table: CurveTable, at: Integers, reach: Array) -> Array:
         most = np.maximum(np.take(most, low, axis), np.take(most, high, axis))
     sink = np.maximum(most * table.eighth[cell] + table.beyond[cell] * reach, 0.0) if wide else 0.0 * bent
     for axis in wide:
-        sink = np.swapaxes(around(np.swapaxes(sink, axis, 3)), axis, 3)
+        sink = around(sink, axis)
     return sink
 
 
-def around(cells: Array) -> Array:
-    """What the cells on either side of each knot take at most: (..., N) -> (..., N + 1), 0 where there is none."""
-    found = np.zeros((*cells.shape[:-1], cells.shape[-1] + 1))
-    found[..., :-1] = cells
-    found[..., 1:] = np.maximum(found[..., 1:], cells)
-    return found
+def around(cells: Array, axis: int) -> Array:
+    """What the cells on either side of each knot take at most, along one axis."""
+    cells = np.moveaxis(cells, axis, 0)
+    found = np.concatenate([cells[:1], np.maximum(cells[:-1], cells[1:]), cells[-1:]])
+    return np.moveaxis(found, 0, axis)

@@ -44,12 +44,8 @@ class ZeroCountOverBox(SampleCount):
         delta of that plant.
     """
 
-    value: float
-    samples_needed: int
-    frequency_spread: float
     attained: float
     worst: Mapping[str, float]
-    duration: float
     cells: int
     plant: UncertainPlant
 
@@ -97,11 +93,11 @@ def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOver
     """
     duration, model = checks.nonnegative("duration", duration), BoxModel.of(plant, "zero_count_bound")
     if not model.n:
-        return ZeroCountOverBox(-1.0, 0, 0.0, 0.0, {}, duration, 0, plant)
+        return ZeroCountOverBox(-1.0, 0, 0.0, duration, 0.0, {}, 0, plant)
     if not model.m:  # of one plant its eigenvalues say it
         own = zero_count_bound(plant.nominal, duration)
         spread, values = own.frequency_spread, model.values(model.start)
-        return ZeroCountOverBox(own.value, own.samples, spread, spread, values, duration, 0, plant)
+        return ZeroCountOverBox(own.value, own.samples, spread, duration, spread, values, 0, plant)
     require_every_plant_observable(model)
     found, floor = _frequencies(model)
     top = max(1 / found.lower - floor, 0.0) if found.lower > 0 else np.inf
@@ -109,7 +105,7 @@ def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOver
     needed = samples_above(value, duration)
     reached = 2 * max(1 / found.upper - floor, 0.0)
     return ZeroCountOverBox(
-        float(value), needed, 2 * float(top), reached, model.values(found.u), duration, found.cells, plant
+        float(value), needed, 2 * float(top), duration, reached, model.values(found.u), found.cells, plant
     )
 
 

@@ -233,7 +233,8 @@ def tightened_weights(detectability: DetectabilityCertificate, samples: Sampling
     mu_bar, k_w, c_2 = first.named("mu_bar").value, first.named("k_w").value, detectability.c_y
     L = np.asarray(np.linalg.cholesky(detectability.P), dtype=np.float64)
     shifted = plant.A + eta / 2 * np.eye(plant.n_states)
-    swing = largest_flow(L.T, shifted, np.linalg.solve(L.T, np.eye(len(L))), t_star)[0] ** 2
+    inverse = np.asarray(np.linalg.solve(L.T, np.eye(len(L))), dtype=np.float64)
+    swing = largest_flow(L.T, shifted, inverse, t_star)[0] ** 2
     push = largest_flow(L.T, shifted, plant.G, t_star)[0] ** 2
     within_range("e^{eta T}", eta * T)
     f = float(np.expm1(eta * T)) / eta

@@ -179,7 +179,8 @@ def deviations(
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
     profile = np.full((len(rows), times.size), np.inf)
     worst, worst_at, mean = np.full(len(rows), np.inf), np.full(len(rows), times[0]), np.full(len(rows), np.inf)
-    for k in safe if curves is not None else ():
+    for k in safe:
+        assert curves is not None  # there is such a row
         row = rows.matrix[k] @ known.lift
         parts = [curves.variance(j, d, row) for j, d in enumerate(offsets)]
         profile[k] = np.sqrt(np.concatenate(parts))

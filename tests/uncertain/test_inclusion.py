@@ -638,3 +638,29 @@ def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
 def test_numbers_whose_products_leave_all_doubles_are_undecided():
     with pytest.raises(Undecided, match="too large or too small for an honest check in doubles"):
         numbers.safe(np.array([[1e100]]), power=4)
+
+
+OSCILLATING = np.array([[0.0, 1.0], [-1.0, -0.1]])
+
+
+def between(order):
+    """Plants between the same three vertices, listed in some order, one of them more than once perhaps."""
+    rng = np.random.default_rng(3)
+    vertices = [Plant(OSCILLATING + 0.06 * rng.normal(size=(2, 2)), [[1.0, 0.0]]) for _ in range(3)]
+    return UncertainPlant(Plant(OSCILLATING, [[1.0, 0.0]]), vertices=[vertices[k] for k in order])
+
+
+@pytest.mark.parametrize("order", [[2, 1, 0], [1, 0, 2, 2]])
+def test_how_vertices_are_listed_changes_nothing_of_what_is_searched_with(order):
+    one, other = (between(each).members(np.random.default_rng(0)) for each in ([0, 1, 2], order))
+    assert np.array_equal(one.dynamics, other.dynamics)
+    assert len(one.places) == len(other.places) == 3
+    for place, own in zip(other.places, other.dynamics, strict=True):
+        assert np.array_equal(own[:, :2], between(order).vertices[int(place.split()[1])].A)
+
+
+@pytest.mark.long
+def test_how_vertices_are_listed_changes_no_bit_of_a_certificate():
+    made = [certify(between(order), PeriodicSchedule([0.5])) for order in ([0, 1, 2], [1, 0, 2, 2])]
+    assert made[0].lam == made[1].lam
+    assert np.array_equal(made[0].P2, made[1].P2)

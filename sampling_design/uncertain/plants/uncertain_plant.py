@@ -268,12 +268,14 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         return words, values
 
     def members(self, rng: np.random.Generator) -> InclusionMembers:
-        """Vertices, or corners of the box."""
+        """Vertices, or corners of the box, each once and in one order, however they were listed."""
         listed = self.constant_members(rng)[: None if self.vertices else 2 ** min(len(self.parameters), MOST_CORNERS)]
-        dynamics = np.array([np.hstack([plant.A, plant.G]) for _, plant in listed])
+        dynamics, at = np.unique(
+            np.array([np.hstack([plant.A, plant.G]) for _, plant in listed]), axis=0, return_index=True
+        )
         outputs = np.unique(np.array([plant.C for _, plant in listed]), axis=0)
         complete = bool(self.vertices) or len(self.parameters) <= MOST_CORNERS
-        return InclusionMembers(dynamics, outputs, tuple(name for name, _ in listed), complete)
+        return InclusionMembers(dynamics, outputs, tuple(listed[k][0] for k in at.tolist()), complete)
 
     def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
         """Corners or vertices, then plants along each parameter's range."""

@@ -147,8 +147,8 @@ def test_a_count_over_a_box_is_that_of_its_fastest_plant():
 def test_where_no_parameter_moves_anything_counts_and_existence_are_those_of_the_plant(low):
     """A parameter of zero width, or of the disturbance alone: of defective modes, too, which bounds in cells blur."""
     rng = np.random.default_rng(5)
-    plants = [Plant(rng.normal(size=(n, n)), rng.normal(size=(p, n))) for n, p in ((2, 1), (3, 2))]
-    plants += [Plant(np.diag(np.ones(n - 1), 1), np.eye(n)[:p] + 0.1) for n, p in ((2, 2), (3, 1), (4, 2))]
+    plants = [Plant(rng.normal(size=(n, n)), rng.normal(size=(p, n))) for n, p in ((2, 1),)]
+    plants += [Plant(np.diag(np.ones(n - 1), 1), np.eye(n)[:p] + 0.1) for n, p in ((2, 2), (3, 1))]
     for plant in plants:
         moved = {"A" if low == 1.0 else "G": np.ones_like(plant.A)}
         box = UncertainPlant(plant, [UncertainParameter("k", low, 1.0, nominal=1.0, **moved)])

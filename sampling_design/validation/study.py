@@ -287,10 +287,10 @@ class ValidationStudy:
         line, expected = error_map.timeline, error_map.apply(inputs).e
         for half, (label, room) in enumerate((("inactive constraints", ROOMY), ("active constraints", 0.0))):
 
-            def told(fraction: float, message: str, half: int = half, label: str = label) -> None:
+            def announce(fraction: float, message: str, half: int = half, label: str = label) -> None:
                 tell((half + fraction) / 2, f"{label}, {message}")
 
-            runs = self._real_runs(line, inputs, told, room)
+            runs = self._real_runs(line, inputs, announce, room)
             errors = np.array([run.errors for run in runs])
             if room:
                 self._agree(label, errors, expected)

@@ -112,7 +112,9 @@ def test_an_estimate_lies_in_the_middle_of_what_is_possible_unless_asked_otherwi
         assert done.code == 0, done.err
         data = json.loads(done.out)
         found[radii] = np.array(data["x"]), np.array(data["radii"])
-        assert ("on schedule" in shell("estimate", path, tmp_path / "y.csv", *bounds, *radii).out) == bool(radii)
+        shown = " ".join(shell("estimate", path, tmp_path / "y.csv", *bounds, *radii).out.split())
+        assert ("on schedule" in shown) == bool(radii)
+        assert ("The last radius with --radii centred: " in shown) == bool(radii)
     record = sd.read_measurements(tmp_path / "y.csv", plant)
     for k, t in enumerate(record.times):
         rows = [row for row in record if row[0] <= t]

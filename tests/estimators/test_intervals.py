@@ -14,9 +14,11 @@ from sampling_design.accuracy.readings import Readings, RowReading
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.evidence import EstimateEvidence
+from sampling_design.records.declarations import above
 from tests.cases import few
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], states=["position", "velocity"])
+WALK = sd.Plant([[0.0]], [[1.0]])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
 RECORD = [(t, [np.sin(t)], None) for t in TIMES]
 GIVEN = {"w_bound": 0.02, "v_bound": 0.2}
@@ -265,6 +267,22 @@ def test_what_cannot_be_moved_says_why():
     torn = sd.KalmanFilter(walk, w_bound=0.1, v_bound=0.1, initial_error=1.0)
     torn.update(1.0, [0.0])
     assert torn.update(2.0, [3.0]).centred().status == "bounds disproved"
+
+
+def test_an_estimate_says_what_its_radii_would_be_in_the_middle_of_its_interval():
+    """And says so of none that lies there, or of which nothing is proven."""
+    kalman = sd.KalmanFilter(WALK, w_bound=0.1, v_bound=0.3, initial_error=2.0)
+    kalman.update(0.0, [1.0])
+    found = kalman.update(1.0, [1.5])
+    moved = found.centred()
+    assert moved.radii[0] < found.radii[0]
+    least = above(moved.radii)
+    assert f"would be within {least}: `centred()`." in found.explain()
+    assert dict(found._rows())["if centred"] == least
+    assert f"({least} if `centred()`)" in str(sd.estimators.EstimateRecord.collect(WALK, [found]))
+    assert "centred()" not in moved.explain()
+    assert "if centred" not in dict(moved._rows())
+    assert "centred()" not in sd.KalmanFilter(WALK).update(1.0, [0.0]).explain()
 
 
 def walked(centred=None, **options):

@@ -248,7 +248,10 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     def _last(self) -> str:
         """How well the state is known at the end."""
         radii = self.estimates[-1].radii if self.estimates else np.array([])
-        return f"at the end within {above(radii)}" if np.isfinite(radii).any() else "no radius at the end"
+        if not np.isfinite(radii).any():
+            return "no radius at the end"
+        least = self.estimates[-1].if_centred()
+        return f"at the end within {above(radii)}" + f" ({least} if `centred()`)" * bool(least)
 
     def _rows(self) -> list[tuple[str, str]]:
         return self._counted.rows()[2:]

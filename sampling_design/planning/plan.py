@@ -32,6 +32,7 @@ from sampling_design.planning.proven_choice import (
     GoalProofs,
     ProvenChoice,
     coarser,
+    coarser_grids,
     densest,
     lifted_choices,
     lifted_trajectories,
@@ -65,9 +66,12 @@ NARROW_MARGINS = (5e-4, 0.015, 0.04)
 """The same for standard deviations, which are only larger between steps of the grid."""
 
 SOUGHT = 0.75
-"""Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
+"""Share of the work after which nothing cheaper than what is held is sought: the rest, of what was given for this grid
+alone, proves it and bounds the cost."""
 
-COARSER = 0.25  # share of the work after which searches on coarser grids end, all together, if they hold something
+COARSER = (0.25, 1.0)
+"""By what share of itself, and how many seconds, a budget grows for each coarser grid that is looked at first."""
+
 ROUNDS = 60  # choices judged at one level
 WIDTH = 0.002  # relative width to which the level out of reach is found
 
@@ -96,7 +100,8 @@ def plan_samples(
         solves and never by a clock: the same plan on every machine, however busy. When it is spent, or three quarters
         of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate,
         robustness and start) may take as much again and two seconds, and what does not fit in is left out, and said
-        (`left_out`). None: no limit.
+        (`left_out`). Coarser grids are searched first, with as much as they would be given alone; each adds a quarter
+        and one second. None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
@@ -191,14 +196,14 @@ class _Planning:
     """One call: the search, its proof, and its bounds."""
 
     def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, finer: _Planning | None = None):
-        self.problem, self.share = problem, np.inf if finer is None else COARSER
+        self.problem, self.given = problem, work
         self.discrete = discretize(problem)
         self.oracle = AccuracyOracle(problem, self.discrete)
-        self.oracle.work.seconds = self.oracle.work.limit = work
+        more = len(coarser_grids(problem))
+        self.oracle.work.seconds = self.oracle.work.limit = work * (1 + COARSER[0] * more) + COARSER[1] * more
         own = PlanProgress(progress, problem, self.oracle.work)
         self.progress: PlanProgress = own if finer is None else finer.progress
         self.search = PlanSearch(problem, self.oracle, self.progress)
-        self.search.share = self.share
         self.kept = False
         """Whether the densest choice was judged to keep every tolerance."""
         self.least: CostProof | None = None
@@ -208,39 +213,44 @@ class _Planning:
     def started(self) -> list[Mask]:
         """What a search on a coarser grid holds: it is as good on this one, which has all of its times.
 
-        So a finer grid makes no plan worse, as far as the share of the work that is spent on the coarser one goes,
-        which has what it needs until it holds something.
+        That search is the one that the coarser grid would have by itself, to the last choice, whatever it was given: so
+        none of its plans is cheaper, or more accurate, than that of this grid. Its best comes first.
         What it found against other choices joins them here: what is held needs no more of them, its bound does.
         """
         coarse, work = coarser(self.problem), self.oracle.work
         if coarse is None:
             return []
         try:
-            run = _Planning(coarse, work.seconds, None, self)
+            run = _Planning(coarse, self.given, None, self)
         except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
             return []
+        best: list[Mask] = []
         try:
-            run.sought()
+            best = [run.sought().chosen]
         except KeyboardInterrupt:
-            self.search.incumbents += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run)]
+            self.search.incumbents += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run, [])]
             raise
         except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
             pass
         work.spend(run.oracle.work.spent)
         self.search.add(lifted_trajectories(self.oracle, run.discrete, run.search.pool.trajectories), 1.0)
-        return self._lifted(run)
+        return self._lifted(run, best)
 
-    def _lifted(self, run: _Planning) -> list[Mask]:
-        """What a search on a coarser grid holds, the last first, and all of its times if they do, on this one."""
+    def _lifted(self, run: _Planning, best: list[Mask]) -> list[Mask]:
+        """What a search on a coarser grid holds, the best first, and all of its times if they do, on this one."""
         feasible = [chosen for chosen, _ in run.search.incumbents[::-1]] + [densest(run.problem)] * run.kept
-        return lifted_choices(self.problem, feasible)
+        return lifted_choices(self.problem, best + feasible)
 
     def sought(self) -> ProvenChoice:
-        """What the search for the requirement's aim comes to, proven."""
-        return self._most_accurate() if self.problem.requirement.aim == "most accurate" else self._cheapest()
+        """The best choice that the search for the requirement's aim comes to, by proof."""
+        if self.problem.requirement.aim == "most accurate":
+            last = self._most_accurate()
+            held = [*self.search.incumbents, *((start, 0.0) for start in self.search.starts[:1])]
+            return self.feasible.sharpest(held, last)
+        return self._cheapest()[0]
 
-    def _cheapest(self) -> ProvenChoice:
-        """The least cost that keeps every tolerance, or nearly so."""
+    def _cheapest(self) -> tuple[ProvenChoice, bool]:
+        """The least cost that keeps every tolerance, or nearly so, and whether that is what was sought last."""
         search, late = self.search, self.problem.timing_tolerance
         self._require_detectable()
         worst, trajectories = self.oracle.judge(self.problem.allowed, longest=True)
@@ -255,7 +265,7 @@ class _Planning:
             self.progress.found(everything, worst)
         search.seed(1.0)
         search.starts = self.started()
-        search.share = min(SOUGHT, self.share)
+        search.share = 1 - (1 - SOUGHT) * self.given / self.oracle.work.seconds if np.isfinite(self.given) else SOUGHT
         margins = list(NARROW_MARGINS if search.stochastic else MARGINS[:1] if late else MARGINS)
         for margin in margins:
             again = True
@@ -267,16 +277,19 @@ class _Planning:
             if last.worst <= 1 or search.late:
                 break
             margins += tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
-        search.share = self.share
-        return last
+        search.share = np.inf
+        held = [*search.starts, *(chosen for chosen, _ in search.incumbents)]
+        if last.worst > 1 and not search.incumbents and all(self.feasible.proven(each).worst > 1 for each in held):
+            return last, False
+        best = self.feasible.cheapest(held, everything)
+        return best, best is last
 
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance, and what no choice can do."""
-        search, last, everything = self.search, self._cheapest(), densest(self.problem)
-        if not search.incumbents and last.worst > 1:
-            return self._nearest(last)
-        best = self.feasible.cheapest([*search.starts, *(chosen for chosen, _ in search.incumbents)], everything)
-        sure, cost = best is last, self.problem.cost(best.chosen)
+        search, (best, sure) = self.search, self._cheapest()
+        if best.worst > 1:
+            return self._nearest(best)
+        cost = self.problem.cost(best.chosen)
         frame = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.extend(*AFTER[0])
@@ -352,7 +365,8 @@ class _Planning:
         """The least ratio of accuracy to tolerance that the limits allow, as far as the search comes."""
         search = self.search
         self._require_detectable()
-        for chosen in [self._detecting(sparse(self.problem)), *self.started()]:
+        search.starts = self.started()
+        for chosen in [self._detecting(sparse(self.problem)), *search.starts]:
             worst, trajectories = self.oracle.judge(chosen)
             search.add(trajectories, 0.0)
             if worst < search.worst:
@@ -368,8 +382,7 @@ class _Planning:
 
     def most_accurate(self) -> Plan:
         """The least ratio of accuracy to tolerance that the limits allow, and what no choice can do."""
-        search = self.search
-        best = self.feasible.sharpest(search.incumbents, self._most_accurate())
+        search, best = self.search, self.sought()
         limit, known, keys = limit_of(self.problem, 0.0), search.out_of_reach, search.keys
         work = self.oracle.work
         work.extend(*AFTER[1])

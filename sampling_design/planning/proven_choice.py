@@ -32,7 +32,8 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.units import SECONDS, time_factor
 
-COARSE = 168  # steps of a grid, the hours of a week, up to which it is not looked at more coarsely first
+COARSE, COARSE_DATES = 24, 168
+"""Steps of a grid up to which it is not looked at more coarsely first; with a calendar the hours of a week."""
 
 
 def coarser(problem: PlanProblem) -> PlanProblem | None:
@@ -47,7 +48,7 @@ def coarser(problem: PlanProblem) -> PlanProblem | None:
     parts = [k for k in range(2, problem.steps) if problem.steps % k == 0]
     if np.isfinite(whole):
         parts = [k for k in parts if abs(whole / k - round(whole / k)) <= WHOLE]
-    if problem.steps <= COARSE or not parts:
+    if problem.steps <= (COARSE if requirement.calendar is None else COARSE_DATES) or not parts:
         return None
     step = problem.step * next((k for k in parts if k > 2), 2)
     unit = requirement.time_unit or problem.plant.time_unit
@@ -55,6 +56,15 @@ def coarser(problem: PlanProblem) -> PlanProblem | None:
         return pose_plan(problem.plant, requirement.replace(grid=step * time_factor(problem.plant.time_unit, unit)))
     except (ArgumentError, InfeasibleRequirementError):  # times that a goal asks for, or hours, fall between its steps
         return None
+
+
+def coarser_grids(problem: PlanProblem) -> list[PlanProblem]:
+    """The same on all the grids that are looked at first, the finest of them first."""
+    found, coarse = list[PlanProblem](), coarser(problem)
+    while coarse is not None:
+        found.append(coarse)
+        coarse = coarser(coarse)
+    return found
 
 
 def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:

@@ -5,10 +5,12 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import plan as room
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import resimulated
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import coarser, lifted_trajectories
-from tests.cases import few
+from sampling_design.planning.search import PlanSearch
 
 BARE = {"certificate": False, "robustness": False, "from_start": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
@@ -34,7 +36,8 @@ def looked_at(monkeypatch):
 
 
 @pytest.mark.usefixtures("looked_at")
-@pytest.mark.parametrize(("plant", "wanted", "grids", "seconds"), few(REFINED, 0))
+@pytest.mark.long
+@pytest.mark.parametrize(("plant", "wanted", "grids", "seconds"), REFINED)
 def test_a_finer_grid_is_never_worse(plant, wanted, grids, seconds):
     found = [
         sd.plan_samples(plant, sd.PlanRequirement(grid=grid, **wanted), search_seconds=seconds, **BARE)
@@ -43,6 +46,79 @@ def test_a_finer_grid_is_never_worse(plant, wanted, grids, seconds):
     assert all(each.keeps and each.verify() for each in found)
     costs = [each.cost for each in found]
     assert costs == sorted(costs, reverse=True)
+
+
+@pytest.mark.usefixtures("looked_at")
+def test_a_search_that_finds_nothing_by_itself_ends_with_what_the_coarser_grid_has(monkeypatch):
+    """The coarser grid's own search is the same however fine this one is."""
+    found, late = [], PlanSearch.late
+    monkeypatch.setattr(PlanSearch, "late", property(lambda own: own.problem.steps == 24 or late.fget(own)))
+    for steps in (8, 24):
+        wanted = sd.PlanRequirement({"position": 0.35}, grid=6.4 / steps, **GIVEN)
+        run = room._Planning(pose_plan(OSCILLATOR, wanted), 0.1, None)
+        best = run.sought()
+        found.append((np.flatnonzero(best.chosen.any(axis=1)) / steps, best.worst))
+    assert len(found[0][0]) == 4
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert found[0][1] == pytest.approx(found[1][1], rel=1e-9)
+
+
+def block(rng, kind, size):
+    """A part of a plant: an oscillator, integrators, or what grows or decays slowly."""
+    if kind == "oscillator":
+        rate, damping = rng.uniform(0.4, 1.6), rng.choice([0.0, 0.0, rng.uniform(-0.2, 0.05)])
+        return np.array([[damping, rate], [-rate, damping]])
+    rates = {"integrator": 0.0, "slow": -rng.uniform(0.05, 0.5), "growing": rng.uniform(0.02, 0.15)}
+    return rates[kind] * np.eye(size) + np.eye(size, k=1)
+
+
+def random_plan(seed, coarse):
+    """A plant of one to four states, and what is asked of it but for the grid.
+
+    Tolerances are 1.15 to 2.5 times what all steps of a coarse grid leave; every other seed has prices.
+    """
+    rng = np.random.default_rng([77, seed])
+    n = int(rng.integers(1, 5))
+    A, at = np.zeros((n, n)), 0
+    while at < n:
+        kind, size = str(rng.choice(["oscillator", "integrator", "slow", "growing"])), int(rng.integers(1, 3))
+        part = block(rng, kind if n - at > 1 or kind != "oscillator" else "slow", min(size, n - at))
+        A[at : at + len(part), at : at + len(part)] = part
+        at += len(part)
+    turn = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    plant = sd.Plant(turn @ A @ turn.T, rng.standard_normal((int(rng.integers(1, 3)) if n > 1 else 1, n)))
+    sensors = {
+        name: {"noise_bound": rng.uniform(0.05, 0.3), **({"price": float(rng.integers(1, 4))} if seed % 2 else {})}
+        for name in plant.outputs.names
+    }
+    given = {"period": rng.uniform(4.0, 8.0), "w_bound": 0.02, "sensors": sensors}
+    goals, slack = (
+        rng.choice(plant.states.names, min(n, int(rng.integers(1, 3))), replace=False),
+        rng.uniform(1.15, 2.5),
+    )
+    left = {}
+    for goal in goals.tolist():
+        problem = pose_plan(plant, sd.PlanRequirement({goal: 1.0}, grid=given["period"] / coarse, **given))
+        left[goal] = AccuracyOracle(problem, discretize(problem)).judge(problem.allowed, longest=True)[0] * slack
+    return plant, {"accuracy": left, **given}
+
+
+SEARCHES = [(seed, *more) for more in ((None, 0.02, 8), (None, 0.3, 16), (3, 0.02, 8)) for seed in range(12)]
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("looked_at")
+@pytest.mark.parametrize(("seed", "samples", "seconds", "steps"), SEARCHES)
+def test_a_search_on_a_finer_grid_knows_what_that_on_the_coarser_one_ends_with(seed, samples, seconds, steps):
+    """Cost, or ratio, is as low for three times as many steps, also where it was given next to nothing."""
+    plant, asked = random_plan(seed, steps)
+    found = []
+    for count in (steps, 3 * steps):
+        wanted = sd.PlanRequirement(grid=asked["period"] / count, samples=samples, **asked)
+        run = room._Planning(pose_plan(plant, wanted), seconds, None)
+        best = run.sought()
+        found.append(run.problem.cost(best.chosen) if samples is None and best.worst <= 1 else best.worst)
+    assert found[1] <= found[0] * (1 + 1e-9)
 
 
 @pytest.mark.long

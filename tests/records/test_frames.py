@@ -36,6 +36,7 @@ BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
 READINGS = "time,position,force_per_mass\n0.0,,0.0\n0.7,0.31234567890123,\n2.3,-0.5,1.5\n3.2,0.125,\n"
 
 
+@cache
 def estimates():
     mhe = sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, **BOUNDS)
     return mhe.run([(0.7, [0.3], None), (2.3, [-0.5], None), (3.2, [0.1], None)])
@@ -70,6 +71,7 @@ def record():
     return sd.simulate_record(OSCILLATOR, SCHEDULE, 5.0, w_bound=0.1, v_bound=0.1, rng=1)
 
 
+@cache
 def design():
     return sd.design_schedule(OSCILLATOR, REQUIREMENT, starts=1, branches=0)
 

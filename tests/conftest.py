@@ -28,7 +28,11 @@ settings.register_profile(
 )
 settings.load_profile("house")
 FEWER: dict[str, dict[str, Any]] = {
-    "design.search.local_search": {"KICKS": 0, "LED": 1, "FEW": 1},
+    "design.search.local_search": {"KICKS": 0, "LED": 1, "FEW": 1, "DRAWS": 20},
+    "design.bounds.weak_duality": {"CELLS": 300, "CELLS_PER_RATE": 12.0},
+    "design.bounds.zone_bound": {"_POINTS": 24},
+    "design.bounds.relaxation": {"_ENTRIES": 800},
+    "accuracy.search": {"FILLED": 8, "PROFILE": 1.2},
     "certificates.exact.weight_choice": {
         "STARTS": (1, 1),
         "MAX_ITERATIONS": (10, 10),
@@ -40,6 +44,8 @@ FEWER: dict[str, dict[str, Any]] = {
 """What a search spends where only what it finds is judged: starts of a design, descents of weights, programs."""
 WHOLE = (
     "tests/design/test_search.py",
+    "tests/design/test_bound.py",
+    "tests/design/test_repeating_hours.py",
     "tests/certificates/test_certificate.py",
     "tests/docs",
     "tests/benchmarks",
@@ -160,7 +166,7 @@ def efforts() -> list[tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
 def pytest_collection_finish() -> None:
     """Leave all that was collected out of every search for garbage."""
     gc.freeze()
-    gc.set_threshold(20_000, 10, 10)
+    gc.set_threshold(100_000, 10, 10)
 
 
 def named(config: pytest.Config) -> list[str]:

@@ -57,8 +57,10 @@ def windows(certificate, periods):
         yield times[k], times[at], np.tile(rows, (periods + 1, 1))[at]
 
 
-@pytest.mark.parametrize("p", few([0.0, 0.1, 0.6, 1.0], 1, 3))
-@pytest.mark.parametrize(("name", "periods"), [("spiral", 1), ("spiral", 2), ("two", 2)])
+@pytest.mark.parametrize(
+    ("name", "periods", "p"),
+    few([(*each, p) for each in (("spiral", 1), ("spiral", 2), ("two", 2)) for p in (0.0, 0.1, 0.6, 1.0)], 3, 5, 11),
+)
 def test_bounds_coincide_with_the_sum_over_all_patterns(name, periods, p, request):
     certificate = request.getfixturevalue(name)
     found = random_arrivals(certificate, p, horizon=periods * certificate.schedule.period)
@@ -163,7 +165,7 @@ def test_drawn_records_keep_the_mean(spiral, cases):
     assert abs(share - found.probability[worst, 0]) < 4 * np.sqrt(0.25 / cases)
 
 
-@pytest.mark.parametrize(("size", "per", "angle"), [(1e-9, 1.0, 0.0), (1e9, 3600.0, 0.0), (1.0, 1.0, 0.8)])
+@pytest.mark.parametrize(("size", "per", "angle"), few([(1e-9, 1.0, 0.0), (1e9, 3600.0, 0.0), (1.0, 1.0, 0.8)], 1, 2))
 def test_units_and_axes_change_nothing(spiral, size, per, angle, monkeypatch):
     monkeypatch.setattr(module, "MOST_CLASSES", 8)
     monkeypatch.setattr(module, "STEPS", 16)

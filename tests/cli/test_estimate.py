@@ -150,7 +150,7 @@ def test_a_prior_is_used(shell, tmp_path, schedule):
 
 
 def test_validate_writes_report_and_picture(shell, tmp_path, schedule):
-    result = shell("validate", OSCILLATOR, schedule, "--runs", 4, "--seed", 5, "--duration", 9, "-o", tmp_path)
+    result = shell("validate", OSCILLATOR, schedule, "--runs", 2, "--seed", 5, "--duration", 6, "-o", tmp_path)
     assert result.code == 0, result.err
     assert {p.name for p in tmp_path.iterdir()} == {"report.md", "report.json", "validation.png"}
     assert "inequality (16)" in result.out
@@ -160,7 +160,7 @@ def test_validate_writes_report_and_picture(shell, tmp_path, schedule):
     assert data["settings"]["seed"] == "5"
     assert (tmp_path / "report.md").read_text().startswith("# Validation of oscillator")
     again = json.loads(
-        shell("validate", OSCILLATOR, schedule, "--runs", 4, "--seed", 5, "--duration", 9, "--workers", 2, "--json").out
+        shell("validate", OSCILLATOR, schedule, "--runs", 2, "--seed", 5, "--duration", 6, "--workers", 2, "--json").out
     )
     assert again == data
 

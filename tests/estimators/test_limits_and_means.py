@@ -1,5 +1,7 @@
 """Limits of detection and composite samples: in files, in intervals, in estimators; against the plainest reading."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -227,8 +229,7 @@ READ_AT_ONE = [
 ]
 
 
-@pytest.mark.parametrize("first", READ_AT_ONE, ids=str)
-@pytest.mark.parametrize("late", few([False, True], 1), ids=["in order", "late"])
+@pytest.mark.parametrize(("first", "late"), few(product(READ_AT_ONE, [False, True]), 1, 5, 9, 13), ids=str)
 def test_an_output_has_one_reading_at_a_time_whatever_kind_it_is_of(first, late):
     two = sd.Plant([[0.0]], [[1.0], [1.0]])
     for second in READ_AT_ONE:

@@ -188,7 +188,7 @@ def test_what_is_no_bound_is_refused():
 
 
 def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
-    plan = plans["oscillator"]
+    plan = plans["growing"]
     assert plan.start.from_time > 0
     assert "Once the plan is started, the tolerances are kept from" in plan.explain()
     path = plan.save(tmp_path / "plan.json")

@@ -128,7 +128,7 @@ MAKERS = {
     "PlanDates": lambda: plan("2026-03-23").dates(2),
     "PlanComparison": lambda: plan().compare(plan()),
     "EstimateRecord": estimates,
-    "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [2, 3], starts=1, branches=0),
+    "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [1, 2], starts=1, branches=0),
     "SampleLosses": lambda: sd.design.sample_losses(design()),
     "FourHorizons": lambda: sd.certificates.four_horizons(OSCILLATOR, SCHEDULE, certificate()),
     "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),

@@ -18,7 +18,7 @@ EVEN, UNEVEN = np.full(4, QUARTER), QUARTER * np.array([0.6, 1.1, 0.8, 1.5])
 SPIRAL = Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.0]])
 
 
-def tail_exponent(gaps, p, rng, runs=20000, periods=60):
+def tail_exponent(gaps, p, rng, runs=9000, periods=60):
     """Hill's estimate of k in P(trace > x) ~ x^-k, of a filter that loses each sample with probability p."""
     P, seen = np.tile(np.eye(2), (runs, 1, 1)), []
     flows = [expm(SPIRAL.A * gap) for gap in gaps]

@@ -27,7 +27,7 @@ def agrees(A):
 )
 def test_on_planted_matrices(steps, longest, largest):
     rng = np.random.default_rng(steps)
-    for _ in range(60):
+    for _ in range(25):
         A = planted(rng, largest, steps, longest)
         right, sure, clusters = agrees(A)
         assert right, (A, clusters)

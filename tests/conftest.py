@@ -41,7 +41,7 @@ FEWER: dict[str, dict[str, Any]] = {
     },
     "certificates.families.certify_family": {"LAM_RTOL": 0.03},
 }
-"""What a search spends where only what it finds is judged: starts of a design, descents of weights, programs."""
+"""What a search or a bound spends where only what it finds is judged: starts, cells of time, descents, programs."""
 WHOLE = (
     "tests/design/test_search.py",
     "tests/design/test_bound.py",

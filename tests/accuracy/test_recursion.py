@@ -30,7 +30,7 @@ def flown(plant, x, u, w, h, steps=8):
 def test_the_truth_is_within_the_radii_from_the_first_sample_on(found, start):
     rng = np.random.default_rng(7)
     ratios = []
-    for run in range(6):
+    for run in range(3):
         gains = sd.accuracy.PeriodicGains(found, initial_error=start, prior=[1.0, -1.0], first=run % 3)
         e = rng.uniform(-1, 1, 2) * (np.array(start) if np.ndim(start) else 0.5 / np.sqrt(2))
         x, u, j = np.array([1.0, -1.0]) + e, np.zeros(1), run % 3

@@ -123,7 +123,7 @@ def test_an_interval_is_what_a_linear_program_of_the_record_says(seed):
 
 @pytest.mark.parametrize("extreme", EXTREME)
 def test_so_it_is_where_bounds_are_0_or_far_apart(extreme):
-    assert {seed: said for seed in range(100, 107) if (said := wrong(seed, extreme=EXTREME[extreme]))} == {}
+    assert {seed: said for seed in range(100, 104) if (said := wrong(seed, extreme=EXTREME[extreme]))} == {}
 
 
 @pytest.mark.long

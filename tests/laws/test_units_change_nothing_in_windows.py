@@ -153,7 +153,7 @@ def test_so_it_is_over_all_schedules(seed):
     family = SpacedWindows(window=2.0, count=n + 1, spacing=0.3)
     found = worst_case_sigma(Plant(A * D[:, None] / D, C / D), family, timing_tolerance=late, rtol=0.05)
     assert 0.9 * found.upper <= found.lower
-    for _ in range(200):
+    for _ in range(60):
         taus = np.sort(rng.uniform(0.0, 2.0 - n * 0.3, n + 1)) + 0.3 * np.arange(n + 1)
         rows = (C @ expm(A * (taus + late * rng.uniform(0, 2, n + 1))[:, None, None])).reshape(-1, n)
         assert found.lower <= (1 + 1e-9) / np.linalg.norm(D[:, None] * np.linalg.pinv(rows, rcond=1e-15), 2)

@@ -110,7 +110,7 @@ def test_no_schedule_that_is_drawn_is_below_the_bound(name):
     rng, slack = np.random.default_rng(2), window - (count - 1) * spacing
     near = (found.witness - spacing * np.arange(count)) / slack
     for wide in (0.01, 0.1, 1.0):
-        for _ in range(10):
+        for _ in range(6):
             times = from_steps(near + wide * rng.standard_normal(count), window, count, spacing)
             assert is_admissible(times, window, spacing)
             assert sigma_of_times(A, C, times) >= found.lower

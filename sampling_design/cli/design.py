@@ -246,7 +246,7 @@ def losses(
             plant, requirement, every_period=every_period, rng=settings.seed, budget=settings.budget, progress=progress
         )
     if result is None:
-        settings.show({"without": []}, design.explain())
+        settings.finish_early({"without": []}, "losses", design.explain())
         _end_unobservable(design)
         return
     settings.draw(result, "losses")

@@ -153,6 +153,11 @@ class Settings:
         self.write_json(data, name)
         self.show(data, record_table(record), *tables, record.explain())
 
+    def finish_early(self, data: Mapping[str, object], name: str, words: str) -> None:
+        """Write and show what there is to say where the question does not arise."""
+        self.write_json(data, name)
+        self.show(data, words)
+
     def show(self, data: Mapping[str, object], *tables: Table | str) -> None:
         """Print the result on stdout: `data` with --json, else the tables; name the written files on stderr."""
         if self.as_json:

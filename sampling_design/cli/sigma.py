@@ -49,7 +49,7 @@ def sigma(
     schedule = files.schedule_for(settings, plant, schedule_file)
     split = split_needed(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:
-        settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
+        settings.finish_early({"sigma": None, "split": split.to_dict()}, "sigma", split.explain())
         return
     length = window_length(settings, split, window, schedule)
     split = weighed_over(split, length)
@@ -78,7 +78,8 @@ def worst_case(
     split = split_needed(settings.part(files.plant(plant_file)), settings.decay_rate or 0.0)
     split = weighed_over(split, positive("window", window))
     if not split.retained.n_states:
-        settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
+        words = "No samples needed: every mode decays. Ask for more with --decay-rate."
+        settings.finish_early({"lower": None}, "worst_case", words)
         return
     family = sd.SpacedWindows(window, count, spacing)
     with settings.progress("worst case") as progress:

@@ -306,3 +306,15 @@ def test_an_interrupted_design_writes_what_is_proven(shell, tmp_path, monkeypatc
     assert design["status"] == "interrupted"
     assert 0 < design["sigma"] <= design["upper_bound"]
     assert len(read_schedule(tmp_path / "schedule.csv")) > 0
+
+
+def test_where_no_samples_are_needed_the_file_is_written_too(shell, tmp_path):
+    plant, schedule = tmp_path / "plant.toml", tmp_path / "schedule.csv"
+    sd.plants.write_plant(sd.Plant([[-1.0]], [[1.0]]), plant)
+    sd.schedules.write_schedule(sd.PeriodicSchedule([1.0], time_unit="s"), schedule)
+    family = ["--window", "4", "--count", "3", "--spacing", "0.5"]
+    for name, more in (("losses", []), ("sigma", [schedule]), ("worst-case", family)):
+        result = shell(name, plant, *more, "-o", tmp_path / "out", "--json")
+        assert result.code == 0
+        written = json.loads((tmp_path / "out" / f"{name.replace('-', '_')}.json").read_text())
+        assert written == json.loads(result.out)

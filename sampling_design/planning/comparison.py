@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.figures import LOST, PlanFigures
 from sampling_design.planning.problem import RowGoal
-from sampling_design.records.declarations import Column, above, below
+from sampling_design.records.declarations import Column, above, below, selected
 from sampling_design.records.record import ListRecord, Plain, short
 from sampling_design.records.units import spoken, time_factor
 
@@ -53,8 +53,7 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
 
     def reached(self, name: str) -> tuple[float, float]:
         """What each plan reaches for a goal of both, in its unit."""
-        first, second = ({g.name: float(r) for g, r in zip(p.goals, p.reached, strict=True)} for p in self.plans)
-        return first[name], second[name]
+        return _reached(self.first)[name], _reached(self.second)[name]
 
     def a_day(self, plan: PlanFigures, value: float) -> float:
         """An amount per period as one per day, so that periods may differ."""
@@ -85,7 +84,7 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
                 both("one sample late by", lambda p: _bears(p, "late", unit)),
                 both("samples that may be lost", lambda p: _bears(p, "lost", unit)),
             ]
-        rows.append(both("rate of the certificate", lambda p: _rate(p)))
+        rows.append(both("rate of the certificate", _rate))
         return rows
 
     _answers = (
@@ -115,19 +114,14 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
+        said = "samples period:schedule.period cost reached ratio gap robustness"
+        both = zip(self.names, self.plans, strict=True)
+        return {name: selected(p, said) | {"reached": _reached(p)} for name, p in both}
 
-        def plain(p: PlanFigures) -> dict[str, Plain]:
-            return {
-                "samples": p.samples,
-                "period": p.schedule.period,
-                "cost": p.cost,
-                "reached": {g.name: float(r) for g, r in zip(p.goals, p.reached, strict=True)},
-                "ratio": p.ratio,
-                "gap": p.gap,
-                "robustness": None if p.robustness is None else p.robustness.to_dict(),
-            }
 
-        return {name: plain(p) for name, p in zip(self.names, self.plans, strict=True)}
+def _reached(plan: PlanFigures) -> dict[str, float]:
+    """What a plan reaches for each goal, in its unit."""
+    return {goal.name: float(reached) for goal, reached in zip(plan.goals, plan.reached, strict=True)}
 
 
 def _bears(plan: PlanFigures, what: str, unit: str) -> str:

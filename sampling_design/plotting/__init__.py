@@ -77,7 +77,22 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
         if key not in known:
             slip = meant(key, ["ax", *known])
             raise CallError(f"`plot` of a {type(record).__name__} has no argument `{key}`. {slip}")
-    return drawing(record, ax, **beside)
+    drawn = drawing(record, ax, **beside)
+    _as_typed(drawn)
+    return drawn
+
+
+def _as_typed(drawn: object) -> None:
+    """Show a name with dollars as it is where they hold no formula that matplotlib reads."""
+    from matplotlib.mathtext import MathTextParser
+    from matplotlib.text import Text
+
+    for text in np.ravel(np.asarray(drawn, dtype=object))[0].figure.findobj(Text):
+        if text.get_text().count("$") > 1:
+            try:
+                MathTextParser("path").parse(text.get_text())
+            except ValueError:
+                text.set_parse_math(False)
 
 
 def _check_axes(ax: object) -> None:

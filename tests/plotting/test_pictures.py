@@ -66,6 +66,19 @@ def test_sigma_is_drawn_with_its_proven_bound():
     assert any(below(result.lower, 4) in t.get_text() for t in ax.get_legend().get_texts())
 
 
+@pytest.mark.parametrize(("name", "formula"), [(r"$\foo$", False), ("$x_1$", True), ("5 $", True)])
+def test_a_name_with_dollars_is_a_formula_or_stands_as_it_was_typed(name, formula, tmp_path):
+    plant = sd.Plant([[0.0]], [[1.0]], states=[name], outputs=["y"])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1, rtol=0.5)
+    ax = np.ravel(found.plot())[0]
+    ax.figure.savefig(tmp_path / "named.png")
+    labels = [
+        each for each in ax.figure.findobj(lambda each: hasattr(each, "get_parse_math")) if name in each.get_text()
+    ]
+    assert labels
+    assert all(each.get_parse_math() is formula for each in labels)
+
+
 def test_a_design_has_two_rows_and_its_bounds(tmp_path):
     design = sd.design_schedule(
         OSCILLATOR, sd.Requirement(window=4.0, samples=3, forbidden=[[1.0, 1.5]]), starts=1, branches=1

@@ -325,8 +325,7 @@ class Interval(TableRecord, PlainRecord):
             modes = self.unobservable_modes
             why = f"no reading shows {modes_with(modes)}" if modes else self._few()
             sentences.append(f"They prove no bound of {names}: {why}.")
-        nothing = ["No row was asked for."] if not labels else []
-        return " ".join([*sentences, *nothing, *([self.notice] if self.notice else [])])
+        return " ".join([*sentences, *([self.notice] if self.notice else [])]) or "No row was asked for."
 
     def _few(self) -> str:
         """Why nothing is proven, though readings of every mode are there."""

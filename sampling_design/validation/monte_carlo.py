@@ -87,7 +87,7 @@ def monte_carlo(
 
     Parameters
     ----------
-    found : ErrorMap
+    error_map : ErrorMap
     bounds : ScenarioBounds
         Within which inputs are drawn.
     apriori : AprioriBound or None

@@ -232,7 +232,15 @@ class ValidationStudy:
         error_map = ErrorMap(line, estimator, self.bounds)
         apriori = apriori_bound_of(self._certified, float(estimator.horizon), "paper")
         trials = monte_carlo(
-            error_map, self.bounds, apriori, apriori.root, seeds[:PAPER_RUNS], workers, tell, self.journal, "paper"
+            error_map,
+            self.bounds,
+            apriori,
+            apriori.root,
+            seeds[:PAPER_RUNS],
+            workers=workers,
+            progress=tell,
+            journal=self.journal,
+            name="paper",
         )
         name, worst = "random noise, the paper's cost", float(np.max(trials.promised))
         self._find("a-priori bound", name, 1.0, worst, source=apriori.theorem, note=_median_text(trials))

@@ -84,6 +84,8 @@ def start_holds(plan: PlanFigures, found: PlanStart) -> bool:
     anew, tiny = plan_start(plan), GRAIN * plan.schedule.period
     if anew is None or (anew.time_unit, anew.bounded) != (found.time_unit, found.bounded):
         return False
+    if np.isfinite(found.from_time) and found.ratio > 1:
+        return False
     return anew.from_time <= found.from_time + tiny and anew.ratio <= found.ratio * (1 + SAME_ANEW)
 
 
@@ -117,21 +119,42 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
 
 
 def robustness_holds(plan: PlanFigures, found: PlanRobustness) -> bool:
-    """Whether a plan bears what a record says, proven anew."""
-    if len(found.times) != plan.samples or not np.allclose(found.times, plan.schedule.times, atol=1e-9):
+    """Whether a plan bears what a record says, proven anew; what trajectories are said to attain, attained anew."""
+    if found.time_unit != plan.plant.time_unit or len(found.times) != plan.samples:
+        return False
+    if not np.allclose(found.times, plan.schedule.times, atol=1e-9):
+        return False
+    if bool(found.lost) != bool(np.all(found.lost_ratio <= 1)):
         return False
     for k, late in enumerate(found.late.tolist()):
         if late > _room(plan, k) * plan.problem.step * (1 + GRAIN):
             return False
         reached = proven_ratio(plan, delayed(plan, k, late)) if late else plan.ratio
-        if not reached <= min(1.0, found.late_ratio[k] * (1 + SAME_ANEW)):
+        if not reached <= found.late_ratio[k] * (1 + SAME_ANEW) <= 1 + SAME_ANEW:
             return False
-        if found.lost_ratio[k] <= 1 and proven_ratio(plan, without(plan, k, 1)) > found.lost_ratio[k] * (1 + SAME_ANEW):
+        if not _tried(plan, k, late, float(found.step[k])) or not _lost_holds(plan, k, float(found.lost_ratio[k])):
             return False
-    if found.lost and not np.all(found.lost_ratio <= 1):
-        return False
     longer = range(2, found.lost + 1)
     return all(proven_ratio(plan, without(plan, k, count)) <= 1 for count in longer for k in range(plan.samples))
+
+
+def _tried(plan: PlanFigures, k: int, late: float, stride: float) -> bool:
+    """Whether delays were judged in such strides of the grid (one step where none is borne), and none below breaks."""
+    steps = stride / plan.problem.step
+    tries = late / stride if stride else np.inf
+    if not (steps >= 1 - GRAIN and tries <= LATES + GRAIN) or (not late and steps > 1 + GRAIN):
+        return False
+    if abs(steps - round(steps)) > WHOLE or abs(tries - round(tries)) > WHOLE:
+        return False
+    return not any(_broken(plan, delayed(plan, k, m * stride)) for m in range(1, round(tries)))
+
+
+def _lost_holds(plan: PlanFigures, k: int, said: float) -> bool:
+    """Whether no more than is said is proven without a sample; where that is above 1, no less either."""
+    if said <= 1:
+        return proven_ratio(plan, without(plan, k, 1)) <= said * (1 + SAME_ANEW)
+    anew = _judged(plan, without(plan, k, 1))
+    return anew <= said * (1 + SAME_ANEW) and said <= anew * (1 + SAME_ANEW)
 
 
 def delayed(plan: PlanFigures, k: int, late: float) -> SampleSequence:

@@ -115,8 +115,8 @@ def plan_samples(
     Returns
     -------
     Plan
-        With `verify()`, which works out everything anew without a solver. An interrupt (KeyboardInterrupt) after the
-        search holds something ends it: the best of that by proof, with the status "interrupted", and what is left out.
+        With `verify()`, which works out everything anew. An interrupt (KeyboardInterrupt) after the search holds
+        something ends it: the best of that by proof, with the status "interrupted", and what is left out.
 
     Raises
     ------

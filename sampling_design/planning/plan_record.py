@@ -180,7 +180,7 @@ class Plan(PlanFigures):
         return {**found, "time": self.schedule.times, "outputs": read}
 
     def verify(self) -> bool:
-        """Work out every claim anew without a solver: hours, accuracy, and both bounds."""
+        """Work out every claim anew: hours, accuracy, and both bounds without a solver, and what the plan bears."""
         problem = self.problem
         if not problem.is_admissible(self.chosen):
             return False

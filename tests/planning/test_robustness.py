@@ -24,6 +24,15 @@ def whole(week):
     return replace(week, robustness=plan_robustness(week))
 
 
+@pytest.fixture(scope="module")
+def borne():
+    """A level read twice in a period: either may be late, and neither lost; nothing proven of it is slow."""
+    plant = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])
+    wanted = sd.PlanRequirement({"level": 0.75}, period=8.0, grid=1.0, w_bound=0.1, sensors={"y": {"noise_bound": 0.1}})
+    found = sd.plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
+    return replace(found, robustness=plan_robustness(found))
+
+
 def worst_level(plan, times, seen):
     """The level's largest hidden motion over all gaps after the first eight samples, by another program."""
     plant, w, v = plan.plant, np.array([0.02, 0.01]), np.array([0.5, 0.1])
@@ -89,11 +98,39 @@ def test_more_than_it_bears_does_not_verify(whole):
         assert not replace(whole, robustness=more).verify()
 
 
+@pytest.mark.parametrize(
+    ("entry", "change"),
+    [
+        ("lost_ratio", lambda x: 1 + (x - 1) / 2),
+        ("lost_ratio", lambda x: 1 + 2 * (x - 1)),
+        ("step", lambda x: x / 2),
+        ("step", lambda x: 1.5 * x),
+        ("late_ratio", lambda x: 1.01 + 0 * x),
+        ("late", lambda x: 0.9 * x),
+        ("lost", lambda x: 1 - x),
+        ("time_unit", lambda x: "d"),
+    ],
+)
+def test_no_entry_of_what_a_plan_bears_says_something_else(entry, change, borne):
+    """More or less than is so: what is attained, how finely it was judged, in which unit."""
+    found = borne.robustness
+    assert disturbed.robustness_holds(borne, found)
+    assert found.late.min() > 0
+    assert found.lost_ratio.max() > 1
+    assert not disturbed.robustness_holds(borne, replace(found, **{entry: change(getattr(found, entry))}))
+
+
+def test_no_start_says_that_tolerances_are_kept_and_exceeded(borne):
+    found = disturbed.plan_start(borne)
+    assert disturbed.start_holds(borne, found)
+    assert not disturbed.start_holds(borne, replace(found, ratio=1.01))
+
+
 @pytest.mark.parametrize("late", [240.0, 1e308])
 def test_a_sample_is_not_said_to_come_after_the_next_one(late, week, monkeypatch):
     monkeypatch.setattr(disturbed, "proven_ratio", lambda *_: 0.0)
     ones = np.ones(week.samples)
-    found = disturbed.PlanRobustness("h", np.array(week.schedule.times), 0 * ones, ones, ones, 0, ones)
+    found = disturbed.PlanRobustness("h", np.array(week.schedule.times), 0 * ones, ones, ones, 1, ones)
     assert disturbed.robustness_holds(week, found)
     assert not disturbed.robustness_holds(week, replace(found, late=late * ones))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import sampling_design as sd
 from sampling_design import plotting
 from sampling_design.design.pareto import ParetoFront
+from sampling_design.records.record import above, below
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
@@ -25,9 +26,10 @@ def front_of(counts: Sequence[int]) -> ParetoFront:
 def rows(front: ParetoFront) -> list[str]:
     """Lines of the table."""
     return [
-        f"| {p.samples} | {p.sigma:.5f} | {p.upper_bound:.5f} | {100 * (1 - p.sigma / p.upper_bound):.1f} % | {lost} |"
+        f"| {p.samples} | {below(p.sigma, 5)} | {above(p.upper_bound, 5)} | {above(gap, 2)} % | {lost} |"
         for p in front.points
-        for lost in ["-" if p.deviations is None else f"{p.deviations.lost:.4f}"]
+        for gap in [100 * (1 - p.sigma / p.upper_bound)]
+        for lost in ["-" if p.deviations is None else below(p.deviations.lost, 4)]
     ]
 
 

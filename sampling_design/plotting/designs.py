@@ -130,7 +130,7 @@ def _gaps(points: Sequence[ParetoPoint], ax: Axes) -> None:
     gaps = [100 * max(0.0, 1 - p.sigma / p.upper_bound) if p.upper_bound > 0 else 0.0 for p in points]
     ax.bar([p.samples for p in points], gaps, width=0.5, color=style.ALLOWED)
     for p, gap in zip(points, gaps, strict=True):
-        style.note(ax, f"{gap:.1f}", (p.samples, gap), (0, 2), ha="center")
+        style.note(ax, above(gap, 2), (p.samples, gap), (0, 2), ha="center")
     ax.set_ylim(0.0, 1.35 * (max(gaps) or 1.0))
     _whole_counts(ax)
     ax.set_ylabel("optimality gap\n[%]")
@@ -252,7 +252,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     if not result.bound_is_vacuous:
         note = f"no admissible schedule exceeds {above(result.upper_bound, 4)}"
         bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
-        top_value, gap = max(result.upper_bound, top_value), f"gap {100 * result.gap:.1f} %"
+        top_value, gap = max(result.upper_bound, top_value), f"gap {above(100 * result.gap, 2)} %"
     least = draw_deviations(result.deviations, bottom)
     style.legend(bottom, 2)
     style.from_below(bottom, min(sigma_found.lower, least), top_value)

@@ -23,8 +23,13 @@ from sampling_design.records.arrays import Array
 
 PIECES = 1 << 14  # tokens of JSON that are written at a time
 
+FRAME = "the frame"  # where rows stand that no file holds
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
+_MARKED = {
+    mark: re.compile(rf'(?:^|[;\t])[ "]*[<>]? *[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?[ "]*(?:$|(?=[;\t]))', re.M)
+    for mark in ",."
+}
 
 _SEMICOLONS = re.compile(r"=\s*\[[^\]\"']*;")  # a matrix as other programs write it: [0 1; -1 0]
 _BLANKS = re.compile(r"=\s*\[+\s*[-+]?[\d.]+[ \t]+[-+]?[\d.]")  # a row as other programs write it: [1 0]
@@ -122,13 +127,23 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
         except csv.Error as error:
             why = "a line ends within a cell" if "new-line" in str(error) else error
             raise FileFormatError(
-                f"{where}, line {number}: cannot be read as cells ({why}). Was a quote left open?", where
+                f"{where}, {row_name(where, number)}: cannot be read as cells ({why}). Was a quote left open?", where
             ) from None
         cells = [cell.strip() for cell in row]
         if mark != ",":
             cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         rows.append((number, cells))
     return rows
+
+
+def decimal_marks(text: str) -> set[str]:
+    """Which of comma and point stand in cells of lines that hold nothing but a number or its limit."""
+    return {mark for mark, number in _MARKED.items() if number.search(text)}
+
+
+def row_name(where: str, line: int) -> str:
+    """What a message calls a line: of a frame, whose header is no row, the row, counted from 1."""
+    return f"row {line - 1}" if where == FRAME else f"line {line}"
 
 
 def csv_cell(text: str) -> str:

@@ -85,7 +85,10 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         if (count - 1) * spacing > self.window * (1 + ROUNDING):
-            raise self._infeasible(f"{count} samples {short(spacing)} apart need {short((count - 1) * spacing)}")
+            raise self._infeasible(
+                f"{count} samples {short(spacing)} apart need {short((count - 1) * spacing)}, "
+                f"and {short(count * spacing)} in an endless schedule"
+            )
 
     def _infeasible(self, what: str) -> InfeasibleRequirementError:
         # the room of an endless schedule, k epsilon <= T, is offered: it also fits one window

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 import numpy as np
@@ -95,14 +94,22 @@ def import_time_stamps(
 def zoned_date(text: str) -> datetime:
     """Return an ISO 8601 date; a zone behind it in brackets says whose clocks tell it (RFC 9557).
 
-    Raises ValueError if it is no such date, ArgumentError if there is no such zone.
+    Raises ValueError if it is no such date, ArgumentError if there is no such zone, or its clocks skip or repeat it.
     """
     stem, bracket, zone = text.partition("[")
     date = datetime.fromisoformat(stem if zone.endswith("]") else text)
     if not bracket:
         return date
     place = time_zone(zone[:-1])
+    if date.tzinfo is None and not shown_once(date, place):
+        raise ArgumentError(f"{text} is skipped or repeated by the clocks of {place}: give its offset.")
     return date.replace(tzinfo=place) if date.tzinfo is None else date.astimezone(place)
+
+
+def shown_once(date: datetime, place: tzinfo) -> bool:
+    """Whether clocks there show this local date exactly once: they neither skip nor repeat it."""
+    early, late = (date.replace(tzinfo=place, fold=fold).utcoffset() for fold in (0, 1))
+    return early == late
 
 
 def zoned_text(date: datetime) -> str:
@@ -125,16 +132,19 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
     date = None
-    with suppress(TypeError, ValueError, AttributeError):
+    try:
         date = value if isinstance(value, datetime) else zoned_date(value)
+    except ArgumentError as error:
+        raise ArgumentError(f"`{name}`: {error}") from None
+    except (TypeError, ValueError, AttributeError):
+        pass
     if date is None or date != date:  # pandas counts its missing date among dates
         came = repr(value)[:60] if is_text(value) else checks.described(value)
         raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {came}.")
     if date.tzinfo is not None or zone is None:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date
     place = time_zone(zone)
-    early, late = (date.replace(tzinfo=place, fold=fold).utcoffset() for fold in (0, 1))
-    if early != late:
+    if not shown_once(date, place):
         raise ArgumentError(f"`{name}` = {value} is skipped or repeated by the clocks of {zone}: give its offset.")
     return date.replace(tzinfo=place)
 

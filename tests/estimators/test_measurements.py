@@ -24,6 +24,7 @@ PLANT = Plant(
     inputs=["pump"],
 )
 BLIND = Plant([[0.0]], [[1.0]], outputs=["gauge"])
+PLANT_IN_HOURS = Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
 
 
 def written(tmp_path, text):
@@ -348,3 +349,56 @@ def test_measurements_of_uncertain_times_made_by_hand():
     assert len(MovingHorizonEstimator(BLIND, horizon=9.0, w_bound=0.1, v_bound=0.1, initial_error=9.0).run(found)) == 2
     with pytest.raises(ArgumentError, match=r"`times` = \(1.0, 2.0\) is uncertain, and an input needs its time"):
         Measurements(PLANT, [[1.0, 2.0]], [[1.0, np.nan]], [[3.0]])
+
+
+BERLIN, SUMMER = "Europe/Berlin", "date,gauge\n2026-10-25T08:00+01:00,1\n"
+PLACES = {
+    "an origin without a zone": ({"origin": "2026-10-25T07:00"}, 0.0, "UTC"),
+    "an origin of a zone": ({"origin": "2026-10-25T07:00", "zone": BERLIN}, 1.0, BERLIN),
+    "an origin with its zone": ({"origin": "2026-10-25T07:00+01:00"}, 1.0, ""),
+    "no origin": ({}, 0.0, ""),
+}
+
+
+@pytest.mark.parametrize("case", PLACES)
+def test_where_a_date_without_a_zone_was_taken_to_be_is_told_of_the_origin_too(tmp_path, case):
+    given, hours, told = PLACES[case]
+    found = read_measurements(written(tmp_path, SUMMER), PLANT_IN_HOURS, **given)
+    assert (found.times.tolist(), found.assumed_zone) == ([hours], told)
+    plain = read_measurements(written(tmp_path, "time,gauge\n8,1\n"), PLANT_IN_HOURS, **given)
+    assert (plain.times.tolist(), plain.origin, plain.assumed_zone) == ([8.0], "", "")
+
+
+@pytest.mark.parametrize("date", ["2026-10-25T02:30", "2026-03-29T02:30"])
+def test_a_date_that_clocks_skip_or_repeat_is_refused_wherever_it_stands(tmp_path, date):
+    row, origin = (
+        written(tmp_path, f"date,gauge\n{date}[{BERLIN}],1\n"),
+        pandas.DataFrame({"date": ["2026-10-25T08:00+01:00"], "gauge": [1.0]}),
+    )
+    with pytest.raises(FileFormatError, match=r"the date in line 2: .* is skipped or repeated by the clocks of Eu"):
+        read_measurements(row, BLIND)
+    for given in ({"origin": date, "zone": BERLIN}, {"origin": f"{date}[{BERLIN}]"}):
+        with pytest.raises(FileFormatError, match=r"given as origin.* is skipped or repeated by the clocks of Eu"):
+            read_measurements(origin, BLIND, **given)
+    with pytest.raises(ArgumentError, match=r"`origin`: .* is skipped or repeated by the clocks of Europe/Berlin"):
+        Measurements(BLIND, [0.0], [[1.0]], origin=f"{date}[{BERLIN}]")
+
+
+def test_the_origin_of_measurements_is_a_date_with_its_zone():
+    assert Measurements(BLIND, [0.0], [[1.0]], origin="2026-03-02").origin == "2026-03-02T00:00:00+00:00"
+    for origin in ("yesterday", 5):
+        with pytest.raises(ArgumentError, match="`origin` must be a date like"):
+            Measurements(BLIND, [0.0], [[1.0]], origin=origin)
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+@pytest.mark.parametrize("rows", [["0,5", "1.234"], ["1.234", "<0,5"], ["2", '"1,5"', "-1.5e3"]])
+def test_a_file_has_one_decimal_mark(tmp_path, mark, rows):
+    """1.234 beside 0,5 may be 1234: neither is taken for granted, in whichever block the other one stands."""
+    for blank in (0, BLOCK):
+        cells = [rows[0], *["3"] * blank, *rows[1:]]
+        text = "".join(f"{k}{mark}{cell}\n" for k, cell in enumerate(cells))
+        with pytest.raises(FileFormatError, match=f"line {len(cells) + 1} has a decimal point where others have"):
+            read_measurements(written(tmp_path, f"time{mark}gauge\n{text}"), BLIND)
+        one = text.replace(",", ".")
+        assert len(read_measurements(written(tmp_path, f"time{mark}gauge\n{one}"), BLIND)) == len(cells)

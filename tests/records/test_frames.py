@@ -5,6 +5,7 @@ import importlib
 import io
 import pkgutil
 import sys
+import warnings
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.util import find_spec
@@ -377,10 +378,18 @@ def test_frames_of_pandas_and_polars_say_the_same():
 
 
 class Lazy:
-    """A frame of polars that is not computed yet."""
+    """A frame of polars that is not computed yet, and warns where anything but its schema is asked for."""
 
     def __init__(self, frame):
-        self.frame, self.columns = frame, frame.columns
+        self.frame = frame
+
+    @property
+    def columns(self):
+        warnings.warn("resolving the schema is costly: use `collect_schema()`", stacklevel=2)
+        return self.frame.columns
+
+    def collect_schema(self):
+        return {}
 
     def __getitem__(self, name):
         raise TypeError(name)
@@ -394,11 +403,12 @@ def test_a_dataset_and_a_lazy_frame_are_the_frames_that_they_turn_into():
     dataset = xarray.Dataset({"gauge": ("time", frame["gauge"])}, coords={"time": frame.index})
     for given in (dataset, dataset["gauge"], Lazy(frame)):
         np.testing.assert_array_equal(sd.read_measurements(given, TANK).y, [[1.0]])
+        assert sd.MovingHorizonEstimator(TANK, horizon=3.0).run(given).times.tolist() == [0.5]
 
 
 def test_a_stamp_that_is_missing_is_said_to_be_missing():
     for name in ("time", "date"):
-        with pytest.raises(FileFormatError, match=f"the frame: the {name} in line 2 is missing."):
+        with pytest.raises(FileFormatError, match=f"the frame: the {name} in row 1 is missing."):
             sd.read_measurements(pandas.DataFrame({name: [None], "gauge": [1.0]}), TANK)
 
 
@@ -422,14 +432,14 @@ def test_frames_of_other_libraries_and_classes_are_refused_by_name(given):
 
 def test_what_ends_a_line_or_begins_a_comment_in_a_file_is_a_cell_of_a_frame():
     plant = sd.Plant([[0.0]], [[1.0]], outputs=['# a\n"b"'])
-    told = r"the frame(: .* in line {0} is not a number: '|, line {0}: cannot be read as cells .a line ends within)"
+    told = r"the frame(: .* in row {0} is not a number: '|, row {0}: cannot be read as cells .a line ends within)"
     for frame in (pandas.DataFrame, lambda columns: _Polars(**columns)):
         given = frame({plant.outputs.names[0]: [1.0, 2.0], "time": [0.5, 1.5]})
         np.testing.assert_array_equal(sd.read_measurements(given, plant).times, [0.5, 1.5])
         for cell in ("#1", " # 1", "1\n2,5.0", "1\r2", "1\u20282", "1\x852", '1"'):
-            with pytest.raises(FileFormatError, match=told.format(3)):
-                sd.read_measurements(frame({"time": [1.0, cell], "gauge": [2.0, 3.0]}), TANK)
             with pytest.raises(FileFormatError, match=told.format(2)):
+                sd.read_measurements(frame({"time": [1.0, cell], "gauge": [2.0, 3.0]}), TANK)
+            with pytest.raises(FileFormatError, match=told.format(1)):
                 sd.read_measurements(frame({"time": [1.0], "gauge": [cell]}), TANK)
 
 

@@ -120,7 +120,9 @@ def test_a_spacing_that_fills_no_window_is_refused_and_says_what_fits():
     slots = [s for s in np.arange(0.0, window + 0.25, 0.25) if s <= window]
     inside = [s for s in slots if s + (count - 1) * spacing <= window]
     assert inside == []  # printed: choose k times in the window, spacing apart: there are none
-    with pytest.raises(InfeasibleRequirementError, match=r"4 samples 0.5 apart need 1.5.*What fits: spacing") as caught:
+    with pytest.raises(
+        InfeasibleRequirementError, match=r"apart need 1.5, and 2 in an endless schedule, more.*window of at least 2,"
+    ) as caught:
         SpacedWindows(window, count, spacing)
     assert caught.value.obstacle == "spacing"
     for change in caught.value.nearest:

@@ -58,18 +58,21 @@ class Dataset(Protocol):
 
 
 @runtime_checkable
-class _LazyFrame(DataFrame, Protocol):
+class LazyFrame(Protocol):
+    """What is asked of a frame of polars that is not computed yet: never its columns, which would compute them."""
+
+    def collect_schema(self) -> object: ...
     def collect(self) -> DataFrame: ...
 
 
-def is_frame(record: object) -> TypeGuard[DataFrame | Series | Dataset]:
+def is_frame(record: object) -> TypeGuard[LazyFrame | DataFrame | Series | Dataset]:
     """Whether this is a frame, a series or a dataset that can be read, and not the class of one."""
-    kinds = _PandasFrame | _PolarsFrame | _LazyFrame | Series | Dataset
+    kinds = LazyFrame | _PandasFrame | _PolarsFrame | Series | Dataset
     return isinstance(record, kinds) and not isinstance(record, type)
 
 
 def lines_of(
-    source: str | os.PathLike[str] | DataFrame | Series | Dataset, plant: MeasuredPlant
+    source: str | os.PathLike[str] | LazyFrame | DataFrame | Series | Dataset, plant: MeasuredPlant
 ) -> tuple[str, Iterator[str]]:
     """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
@@ -80,7 +83,7 @@ def lines_of(
             frame = source.to_frame(_name_of(source, plant))
         case Dataset():
             frame = source.to_dataframe()
-        case _LazyFrame():
+        case LazyFrame():
             frame = source.collect()
     if not isinstance(frame, _PandasFrame | _PolarsFrame):
         raise ArgumentError(f"`path` must be a file, or a frame of pandas or polars, got {checks.described(source)}.")
@@ -93,7 +96,7 @@ def lines_of(
         header[k] = "date" if k in stamps or not stamps else header[k]
     first = io.StringIO()
     csv.writer(first, lineterminator="", quoting=csv.QUOTE_ALL).writerow(header)
-    return "the frame", chain([first.getvalue()], islice(_lines(_text(frame)), 1, None))
+    return file_io.FRAME, chain([first.getvalue()], islice(_lines(_text(frame)), 1, None))
 
 
 def _name_of(series: Series, plant: MeasuredPlant) -> object:
@@ -112,9 +115,9 @@ def _text(frame: _PandasFrame | _PolarsFrame) -> str:
             except Exception:
                 kind = getattr(frame[name], "dtype", "unknown")
                 raise FileFormatError(
-                    f"the frame: column {str(name)!r} must hold numbers, texts or dates of the years 1 to 9999, "
+                    f"{file_io.FRAME}: column {str(name)!r} must hold numbers, texts or dates of the years 1 to 9999, "
                     f"got the kind {kind}.",
-                    "the frame",
+                    file_io.FRAME,
                 ) from None
         raise
 
@@ -152,9 +155,9 @@ def _stamp_of(index: object, alone: bool) -> str:
         return ""
     if np.array_equal(np.asarray(index), np.arange(np.asarray(index).size)):
         raise FileFormatError(
-            "the frame: has no column `time` or `date`, and its index counts the rows. Add the column, or take the "
-            "times for the index.",
-            "the frame",
+            f"{file_io.FRAME}: has no column `time` or `date`, and its index counts the rows. Add the column, or take "
+            "the times for the index.",
+            file_io.FRAME,
         )
     return "time"
 

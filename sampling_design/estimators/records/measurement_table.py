@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
-from itertools import chain, islice
+from itertools import accumulate, chain, islice
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -16,9 +16,10 @@ from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.declarations import moment
+from sampling_design.records.file_io import row_name
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.files import MARK
-from sampling_design.schedules.time_stamps import date_after, time_zone, zoned_date, zoned_text
+from sampling_design.schedules.time_stamps import date_after, shown_once, time_zone, zoned_date, zoned_text
 
 Numbered = tuple[int, str]
 
@@ -69,8 +70,7 @@ def read_table(
     own = {*plant.outputs.names, *plant.inputs.names}
     header = [name.lower() if name.lower() in STAMPS and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
-    own_zone = UTC if zone is None else time_zone(zone)
-    clock = _DateConverter(where, plant, None if origin is None else date_of(where, 0, origin, own_zone), zone, stamp)
+    clock = _DateConverter(where, plant, origin, zone, stamp)
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
     while block := list(islice(numbered, BLOCK)):
         table.add_block(block)
@@ -81,16 +81,16 @@ class _DateConverter:
     """Turns dates into times since the origin, by default the first date.
 
     A date without a zone is one of `zone` (its IANA name), else of the origin's own offset, else of UTC; `naive` says
-    whether there was one, and `place` where it was taken to be.
+    whether there was one, the origin or a row's, and `zone` where it was taken to be.
     """
 
-    def __init__(self, where: str, plant: MeasuredPlant, zero: datetime | None, zone: str | None, stamp: str):
-        self.stamp = stamp
-        self.where, self.unit, self.zero, self.naive = where, SECONDS[plant.time_unit], zero, False
-        self.zone: tzinfo = UTC if zero is None or zero.tzinfo is None else zero.tzinfo
-        self.place, self.named = str(self.zone), zone is not None
-        if zone is not None:
-            self.zone, self.place = time_zone(zone), zone
+    def __init__(self, where: str, plant: MeasuredPlant, origin: str | None, zone: str | None, stamp: str):
+        self.stamp, self.named = stamp, zone is not None
+        self.where, self.unit, self.naive = where, SECONDS[plant.time_unit], False
+        self.zone: tzinfo = UTC if zone is None else time_zone(zone)
+        self.zero = None if origin is None else self.placed(0, origin, date_of(where, 0, origin, None))
+        if zone is None and self.zero is not None:
+            self.zone = self.zero.tzinfo or UTC
 
     def time(self, line: int, cell: str) -> float:
         return _number(self.where, line, "time", cell)
@@ -109,23 +109,27 @@ class _DateConverter:
             return time_or_span((first, last))
         except ArgumentError:
             raise FileFormatError(
-                f"{self.where}: line {line} ends before it begins: {until!r:.60}.", self.where
+                f"{self.where}: {row_name(self.where, line)} ends before it begins: {until!r:.60}.", self.where
             ) from None
 
     def since(self, line: int, cell: str, date: datetime) -> float:
         """Time of a date, with or without a zone of its own; elapsed time, whatever the clocks did meanwhile."""
-        if date.tzinfo is None:
-            self.naive = True
-            early, late = (date.replace(tzinfo=self.zone, fold=fold).utcoffset() for fold in (0, 1))
-            if early != late:
-                raise FileFormatError(
-                    f"{self.where}: the date in line {line} is skipped or repeated by the clocks of {self.place}: "
-                    f"{cell!r:.60}. Give its offset.",
-                    self.where,
-                )
-            date = date.replace(tzinfo=self.zone)
+        date = self.placed(line, cell, date)
         self.zero = date if self.zero is None else self.zero
         return (date.astimezone(UTC) - self.zero.astimezone(UTC)).total_seconds() / self.unit
+
+    def placed(self, line: int, cell: str, date: datetime) -> datetime:
+        """The date with its zone. Raises FileFormatError where clocks do not say which instant it is."""
+        if date.tzinfo is not None:
+            return date
+        self.naive = True
+        if not shown_once(date, self.zone):
+            raise FileFormatError(
+                f"{self.where}: the date {_place(self.where, line)} is skipped or repeated by the clocks of "
+                f"{self.zone}: {cell!r:.60}. Give its offset.",
+                self.where,
+            )
+        return date.replace(tzinfo=self.zone)
 
 
 class MeasurementTable:
@@ -139,6 +143,7 @@ class MeasurementTable:
         self.read = clock.date if stamp == "date" else clock.time
         self.censored: list[tuple[CensoredReading, ...]] = []
         self._blocks: list[tuple[Array, Array, Array, Index]] = []
+        self._marks: set[str] = set()  # decimal marks so far
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows: list[tuple[float, list[float], list[float], int]] = []  # that were read one by one
         self._by_time: dict[float, tuple[int, tuple[float, ...]]] | None = None
@@ -146,7 +151,7 @@ class MeasurementTable:
     @property
     def assumed_zone(self) -> str:
         """Where dates without a zone were taken to be; "" where there were none."""
-        return self.clock.place if self.clock.naive else ""
+        return str(self.clock.zone) if self.clock.naive and self.stamp == "date" else ""
 
     @property
     def origin(self) -> str:
@@ -166,6 +171,7 @@ class MeasurementTable:
 
     def add_block(self, lines: list[Numbered]) -> None:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
+        self._refuse_two_decimal_marks(lines)
         plain = self._plain(lines) if self._by_time is None else None
         if plain is not None:
             times, y, u, censored = plain
@@ -178,11 +184,28 @@ class MeasurementTable:
         for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
                 raise FileFormatError(
-                    f"{self.where}: line {number} has {len(cells)} cells, expected {len(self.header)}.", self.where
+                    f"{self.where}: {row_name(self.where, number)} has {len(cells)} cells, "
+                    f"expected {len(self.header)}.",
+                    self.where,
                 )
             cell = dict(zip(self.header, cells, strict=True))
             self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()
+
+    def _refuse_two_decimal_marks(self, lines: list[Numbered]) -> None:
+        """Refuse 1.234 beside 0,5: it may be 1234 or 1.234."""
+        if self.mark == ",":
+            return
+        marks = [self._marks | file_io.decimal_marks("\n".join(text for _, text in lines))]
+        if len(marks[0]) > 1:
+            marks = list(accumulate((file_io.decimal_marks(text) for _, text in lines), set.union, initial=self._marks))
+            number = next(number for (number, _), so_far in zip(lines, marks[1:], strict=True) if len(so_far) > 1)
+            raise FileFormatError(
+                f"{self.where}: {row_name(self.where, number)} has a decimal point where others have a decimal "
+                "comma, or the other way round, so that one may stand for thousands. Write all numbers in one way.",
+                self.where,
+            )
+        self._marks = marks[0]
 
     def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array, dict[int, list[CensoredReading]]] | None:
         """Times, outputs, inputs and, by row, readings beyond limits of rows in order of time; None for any other rows.
@@ -250,7 +273,8 @@ class MeasurementTable:
             since = self._since(line, t, cell.get(name + SINCE, ""))
             if np.isnan(value) and since is not None:
                 raise FileFormatError(
-                    f"{self.where}: {name}{SINCE} in line {line} has no {name} beside it. Leave both cells empty.",
+                    f"{self.where}: {name}{SINCE} in {row_name(self.where, line)} has no {name} beside it. "
+                    "Leave both cells empty.",
                     self.where,
                 )
             if limit or since is not None:
@@ -279,10 +303,14 @@ class MeasurementTable:
     def _refuse_input(self, line: int, inputs: list[float], censored: list[CensoredReading]) -> None:
         """Refuse what needs a time in a row that has none."""
         if any(each.since is not None for each in censored):
-            raise FileFormatError(f"{self.where}: line {line} holds a mean, whose end must be one time.", self.where)
+            raise FileFormatError(
+                f"{self.where}: {row_name(self.where, line)} holds a mean, whose end must be one time.",
+                self.where,
+            )
         if any(not np.isnan(value) and value != last for value, last in zip(inputs, self._held, strict=True)):
             raise FileFormatError(
-                f"{self.where}: line {line} changes an input at a time that is not known. Give it a row of its own.",
+                f"{self.where}: {row_name(self.where, line)} changes an input at a time that is not known. "
+                "Give it a row of its own.",
                 self.where,
             )
         inputs[:] = [np.nan] * len(inputs)
@@ -293,7 +321,8 @@ class MeasurementTable:
             if np.isnan(value) and np.isnan(self._held[i]):
                 name = self.plant.inputs.names[i]
                 raise FileFormatError(
-                    f"{self.where}: input {name} has no value in line {line}, the first row.", self.where
+                    f"{self.where}: input {name} has no value in {row_name(self.where, line)}, the first row.",
+                    self.where,
                 )
         return [float(last) if np.isnan(value) else value for value, last in zip(inputs, self._held, strict=True)]
 
@@ -320,7 +349,8 @@ class MeasurementTable:
         since = self.read(line, cell)
         if since >= t:
             raise FileFormatError(
-                f"{self.where}: line {line} begins a composite sample at {cell!r:.60}, which is not before its end.",
+                f"{self.where}: {row_name(self.where, line)} begins a composite sample at {cell!r:.60}, "
+                "which is not before its end.",
                 self.where,
             )
         return since
@@ -382,13 +412,13 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
     value = file_io.decimal(cell)
     if value is None:
         if not cell and name == "time":
-            raise FileFormatError(f"{where}: the time in line {line} is missing.", where)
+            raise FileFormatError(f"{where}: the time in {row_name(where, line)} is missing.", where)
         hint = " Leave the cell empty if nothing was measured." if blank else ""
         if name == "time" and _is_date(cell):
             hint = " Dates stand in a column named date."
         if (point := cell.replace(",", ".")) != cell and file_io.decimal(point) is not None:
             hint = f" Write {point}, or separate cells by semicolons: then a comma is a decimal one."
-        raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
+        raise FileFormatError(f"{where}: {name} in {row_name(where, line)} is not a number: {cell!r:.60}.{hint}", where)
     return value
 
 
@@ -400,11 +430,17 @@ def _day(cell: str) -> date | None:
         return None
 
 
+def _place(where: str, line: int) -> str:
+    return f"in {row_name(where, line)}" if line else "given as origin"
+
+
 def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> datetime:
     try:
         date = zoned_date(cell)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: the date {_place(where, line)}: {error}", where) from None
     except ValueError:
-        at = f"in line {line}" if line else "given as origin"
+        at = _place(where, line)
         slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
         if not cell:
             raise FileFormatError(f"{where}: the date {at} is missing.", where) from None
@@ -455,4 +491,7 @@ def _is_date(cell: str) -> bool:
 
 def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, tuple[float, ...]]) -> None:
     if not np.array_equal(new, old[1], equal_nan=True):
-        raise FileFormatError(f"{where}: line {line} repeats the time of line {old[0]} with other values.", where)
+        raise FileFormatError(
+            f"{where}: {row_name(where, line)} repeats the time of {row_name(where, old[0])} with other values.",
+            where,
+        )

@@ -16,7 +16,7 @@ import numpy as np
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.records.frames import DataFrame, Dataset, Series, lines_of
+from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series, lines_of
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
     STAMPS,
@@ -36,7 +36,7 @@ from sampling_design.records.declarations import Column
 from sampling_design.records.record import ListRecord, counted, moment
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
-from sampling_design.schedules.time_stamps import passed, zoned_text
+from sampling_design.schedules.time_stamps import parse_date, passed, zoned_text
 
 MeasuredRow = tuple[float | tuple[float, float], object, Array | None]
 """Time (or from when to when), outputs and inputs of a row, as an estimator takes them."""
@@ -57,10 +57,10 @@ class Measurements(ListRecord[MeasuredRow]):
     u : (N, m) array, optional
         Inputs from each time on; NaN where unchanged. Default: none given.
     origin : str
-        Date (ISO 8601) of time 0, if known; a zone behind it in brackets, as 2026-03-02T00:00+01:00[Europe/Berlin],
-        tells all dates by its clocks.
+        Date (ISO 8601; naive means UTC, and the record says so) of time 0, if known; a zone behind it in brackets, as
+        2026-03-02T00:00+01:00[Europe/Berlin], tells all dates by its clocks.
     assumed_zone : str
-        Zone in which dates without one were read; "" where there were none.
+        Zone in which dates without one, the origin or those of rows, were read; "" where there were none.
     censored : tuple of tuples of CensoredReading, optional
         For each row its limits and means (`BelowDetection`, `AboveRange`, `CompositeReading`); y is NaN there.
         Default: none.
@@ -68,7 +68,7 @@ class Measurements(ListRecord[MeasuredRow]):
     Raises
     ------
     ArgumentError
-        If shapes differ or a time, an output or an input is infinite.
+        If shapes differ, a time, an output or an input is infinite, or `origin` is no date.
 
     Notes
     -----
@@ -88,6 +88,8 @@ class Measurements(ListRecord[MeasuredRow]):
     def __post_init__(self) -> None:
         if not isinstance(self.plant, MeasuredPlant):
             raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {checks.described(self.plant)}.")
+        if self.origin:
+            self._hold(origin=zoned_text(parse_date("origin", self.origin)))
         spans = checks.matrix("times", self.times, columns=2) if checks.dimensions(self.times) == 2 else None
         times = checks.vector("times", self.times if spans is None else spans.mean(axis=1))
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
@@ -319,7 +321,7 @@ class Measurements(ListRecord[MeasuredRow]):
 
 @checked
 def read_measurements(
-    path: str | os.PathLike[str] | DataFrame | Series | Dataset,
+    path: str | os.PathLike[str] | LazyFrame | DataFrame | Series | Dataset,
     plant: Plant | MeasuredPlant,
     *,
     origin: str | date | None = None,
@@ -329,7 +331,7 @@ def read_measurements(
 
     Parameters
     ----------
-    path : path, DataFrame, Series or Dataset
+    path : path, DataFrame (lazy, too), Series or Dataset
         Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that day),
         then the plant's output names, then its input names, in any order. An empty output cell is "not measured" (a row
         that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and
@@ -356,7 +358,8 @@ def read_measurements(
     FileFormatError
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
         an input has no value in the first row, a time comes twice with different values, a date without a zone is
-        skipped or repeated by its clocks, or a frame's index counts its rows and nothing else says their times.
+        skipped or repeated by its clocks, numbers have decimal commas and decimal points, or a frame's
+        index counts its rows and nothing else says their times.
     ArgumentError
         If there is no zone of that name.
     """

@@ -36,6 +36,8 @@ class AwaitedResult(NamedTuple):
     latest: float
 
 
+GRID_ALONE = "between its times nothing is proven"
+
 Reading: TypeAlias = npt.ArrayLike | Sequence[PartialReading | float] | None
 
 
@@ -49,16 +51,20 @@ class NextSample(Record):
     now : float
         Time that has passed since the start of the plan [the plant's time unit], as all times here; `date` names it.
     latest : float
-        With the sensors `outputs`; after it the plan's own times follow. Where no time keeps every tolerance from now
-        on: that after which they are all kept again soonest. -inf: none is known.
+        With the sensors `outputs`, at this very time (`explain` says "by" where any before it will do); after it the
+        plan's own times follow. Where no time keeps every tolerance from now on: that after which they are all kept
+        again soonest. -inf: none is known.
     outputs : tuple of str
     alone : dict of str to float
         For each sensor of the plan, the latest time if that sensor is all that is read then.
     best : float
-        The time up to `latest`, with `best_outputs`, after which the worst accuracy is least.
+        Of up to eight times spread over those up to `latest`, that after which the worst accuracy is least, with
+        `best_outputs`: by looks on the grid.
     ratio : float
         What is proven of `latest`: accuracy over tolerance, from `kept_from` on and for ever after.
     proven : bool
+        Else `latest`, `ratio`, `kept_from` and `alone` are by looks on the grid: between its times, or where results
+        come in, more may be so.
     deadline : GoalDeadline or None
         What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
         first if it does, and when. None if it may come at any time of a whole period. Where no tolerance is exceeded
@@ -129,11 +135,10 @@ class NextSample(Record):
         return "when the next sample must be taken" if self.keeps else "which sample brings the tolerances back"
 
     def _evidence(self) -> str:
-        return (
-            "proven: that share is not exceeded from then on"
-            if self.proven
-            else "nothing is proven: it may be exceeded"
-        )
+        if self.proven:
+            return "proven: that share is not exceeded from then on"
+        looked = f"sampled: judged in floats on the grid, {GRID_ALONE}"
+        return looked if np.isfinite(self.latest) else "nothing is proven: it may be exceeded"
 
     def _rows(self) -> list[tuple[str, str]]:
         goals = {goal.name: goal for goal in self.plan.goals}
@@ -152,7 +157,7 @@ class NextSample(Record):
         rows += [("later" if self.keeps else "then", self._later(self.deadline))] if self.deadline else []
         for name, t in self.alone.items():
             more = f"; later: {self._later(self.alone_deadlines[name])}" if name in self.alone_deadlines else ""
-            rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
+            rows += [(f"{name} alone", f"{self._by(t)} {self.when(t)}{more}")] if np.isfinite(t) else []
         rows += [("best", self._read_at(self.best, self.best_outputs))] if np.isfinite(self.best) else []
         rows += [] if self.keeps else [("kept again", self._again())]
         rows += [] if self.complete else [("budget", "spent: a later sample may do")]
@@ -188,16 +193,26 @@ class NextSample(Record):
                 late = "" if self.deadline is None else f": with one at {one} "
                 late += "" if self.deadline is None else self._later(self.deadline)
                 text = f"No single sample keeps every tolerance from now on{late}"
-            return f"{self._state()}{text}. Every tolerance is kept {self._again()}."
+            return f"{self._state()}{text}. Every tolerance is kept {self._again()}{self._unproven()}."
         alone = [
-            f"{name} alone by {self._beside(t)}"
+            f"{name} alone {self._by(t)} {self._beside(t)}"
             for name, t in self.alone.items()
             if np.isfinite(t) and (name,) != self.outputs
         ]
-        by = "at" if self.plan.problem.spacing > 1 else "by"
-        first = f"Next sample {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
+        first = f"Next sample {self._by(self.latest)} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
         later = f" At the next allowed time after that {self._later(self.deadline)}." if self.deadline else ""
-        return "; ".join([first, *alone]) + "." + later
+        return "; ".join([first, *alone]) + f"{self._unproven()}.{later}"
+
+    def _by(self, t: float) -> str:
+        """Say "by" up to the plan's own next sample, if nothing is spaced: earlier is one sample more; else "at"."""
+        problem, tiny = self.plan.problem, 1e-6 * self.plan.problem.step
+        spaced = max(problem.spacing, int(problem.sensor_spacing.max())) > 1
+        own = planned(self.plan, self.now + tiny, t + tiny, self.plan.clock)[0]
+        return "by" if not spaced and own.size and own[0] >= t - tiny else "at"
+
+    def _unproven(self) -> str:
+        """That an answer rests on looks alone, in words."""
+        return "" if self.proven else f", by looks on the grid alone: {GRID_ALONE}"
 
     def _state(self) -> str:
         """What is exceeded, and what is known now."""
@@ -251,9 +266,10 @@ def next_sample(
     prove: bool = True,
     budget: float | None = None,
 ) -> NextSample:
-    """Return the latest time of the next sample after which every tolerance is kept from now on, for ever.
+    """Return how late the next sample may be for every tolerance to be kept from now on, for ever.
 
-    If one cannot be: since when, how well it is known now, and the sample that brings it back soonest.
+    The search ends at the first time that it finds too late. If one cannot be kept: since when, how well it is known
+    now, and the sample that brings it back soonest.
 
     Parameters
     ----------
@@ -291,12 +307,13 @@ def next_sample(
     (induction). What was broken before now is over, and all that was measured then counts. Samples of the plan on days
     that are known to be closed are left out, or what `plan_dates` puts in their place follows, up to `judged_until`.
     After a miss it may be that no sample keeps every tolerance: then `latest` is that after which they are all kept
-    again soonest, and of equally soon ones the plan's own. *The naive trigger*, which
-    waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
-    overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
-    sample may take the place of one of the plan's. *Assumptions.* The bounds, and later samples, and those before the
-    record, up to the plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it
-    says. Results come by their `result_delay`: what is awaited counts from then on, and what is in counts now.
+    again soonest, and of equally soon ones the plan's own. *The naive trigger*, which waits until the accuracy now
+    reaches its tolerance, leaves states that no later sample can repair in time, and overshoots. *Other times.* Up to
+    the plan's own next sample any time is as good where the plan has no spacing: it is one sample more. Else one before
+    `latest` may break a tolerance, since the plan's samples before it are none of the record, and one beyond the next
+    allowed time may keep them all. *Assumptions.* The bounds, and later samples, and those before the record, up to the
+    plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it says. Results come
+    by their `result_delay`: what is awaited counts from then on, and what is in counts now.
     Values play no part: it holds whatever is read.
 
     References

@@ -65,7 +65,7 @@ def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     plan_file = tmp_path / "out" / "plan.json"
     result = shell("next", plan_file, "--now", "0.5", "-o", tmp_path / "out")
     assert result.code == 0
-    assert "Next sample by " in result.out
+    assert "Next sample at " in result.out
     assert json.loads((tmp_path / "out" / "next.json").read_text())["proven"]
     other = ("-o", tmp_path / "b", "--compare", plan_file, *brief)
     again = shell("plan", tmp_path / "out" / "plant.toml", tmp_path / "wanted.toml", *other)

@@ -8,6 +8,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDeadline
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
@@ -15,6 +16,7 @@ from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.sequence_system import plan_system
+from sampling_design.planning.upcoming_sample import _history, _taken
 from tests.cases import few
 from tests.counted_clock import Counted
 
@@ -42,14 +44,17 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     planned_at = planned(week, 0.5, week.schedule.period)[0][0]
     assert found.latest >= planned_at - 1e-9
     assert week.problem.allowed[round(found.latest / week.problem.step) % week.problem.steps].any()
-    assert "Next sample by " in found.explain()
+    assert f"Next sample {'by' if found.latest <= planned_at else 'at'} " in found.explain()
     outputs, day = week.plant.outputs.names, 24.0
     told = replace(
         found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5}, deadline=None
     )
     clock, before = told.date(day + 14), told.date(day - 5)
-    first = f"Next sample by {clock:%a} 14:00 ({', '.join(outputs)})"
-    assert told.explain() == f"{first}; {outputs[0]} alone by 11:30; {outputs[1]} alone by {before:%a} 19:00."
+    first = f"Next sample at {clock:%a} 14:00 ({', '.join(outputs)})"
+    assert told.explain() == f"{first}; {outputs[0]} alone at 11:30; {outputs[1]} alone at {before:%a} 19:00."
+    sampled = replace(told, proven=False)
+    assert sampled.explain().endswith("19:00, by looks on the grid alone: between its times nothing is proven.")
+    assert dict(sampled._answered())["evidence"].startswith("sampled: judged in floats on the grid")
     later = replace(
         told,
         deadline=GoalDeadline("level", day + 27.25, 1.02),
@@ -60,7 +65,7 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert dict(later._rows())["later"] == by
     near = f"level comes to 0.999 of its tolerance by {told.date(40.0):%a} 16:00, and more is not ruled out"
     assert dict(later._rows())[f"{outputs[0]} alone"].endswith(f"; later: {near}")
-    assert "by Wed 01 Apr 01:00" in replace(told, latest=9 * day).explain()  # one of these days had 23 hours
+    assert "at Wed 01 Apr 01:00" in replace(told, latest=9 * day).explain()  # one of these days had 23 hours
     assert found.to_dict()["latest"]["date"].endswith("+01:00")
     assert found.keeps
     none = replace(
@@ -90,7 +95,9 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert said["how good"] == "1.001 of the tolerance"
     late = replace(none, latest=day + 14, kept_from=2 * day)
     again = f"A sample at {found.when(day + 14)} ({', '.join(found.outputs)}) helps soonest"
-    assert late.explain() == f"{since}{again}. Every tolerance is kept from {found.when(2 * day)} on."
+    again += f". Every tolerance is kept from {found.when(2 * day)} on"
+    assert replace(late, proven=True).explain() == f"{since}{again}."
+    assert late.explain() == f"{since}{again}, by looks on the grid alone: between its times nothing is proven."
     first = replace(late, exceeded=None)
     assert "No single sample keeps every tolerance from now on. Every" in first.explain()
     goal = GoalDeadline("level", day + 20, 1.1)
@@ -275,3 +282,26 @@ def test_the_start_of_a_plan_is_no_sample_that_keeps_its_first_one_away(known):
     found = sd.next_sample(proven_plan(problem, chosen, PlanBound((), None, None), "budget"), now=0.0)
     assert (found.latest, found.kept_from) == (1.0, 1.0)
     assert found.proven
+
+
+@pytest.mark.parametrize(
+    ("turn", "tolerance", "spacing", "breaks"),
+    [(2.2, 1.0, None, True), (0.7, 1.2, None, True), (1.5, 1.6, None, False), (1.5, 1.6, 1.0, False)],
+)
+def test_no_time_is_said_to_be_soon_enough_before_which_a_sample_breaks_a_tolerance(turn, tolerance, spacing, breaks):
+    """After a miss a swing is seen well a turn later, and badly before: "by" up to the plan's own sample alone."""
+    plant = sd.Plant([[0.0, turn], [-turn, -0.01]], [[1.0, 0.0]], states=["place", "speed"], outputs=["y"])
+    terms = {"y": {"noise_bound": 0.2, "spacing": spacing}}
+    wanted = sd.PlanRequirement({"place": tolerance}, period=4.0, grid=0.5, w_bound=0.05, sensors=terms)
+    problem, now = pose_plan(plant, wanted), 20.2
+    chosen = np.zeros_like(problem.allowed)
+    chosen[0] = True
+    plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+    record = [(t, [0.0]) for t in np.arange(0.0, 16.1, 4.0).tolist()]
+    found = sd.next_sample(plan, record, now=now, prove=False)
+    run = NextChoices(plan, _history(plan, _taken(plan, record), now), now)
+    broken = [t for t, mask in run.options(None) if t < found.latest and run.ratio((t, mask)) > 1]
+    assert bool(broken) == breaks
+    word = "at" if breaks or spacing else "by"
+    assert found.explain().startswith(f"Next sample {word} {found.latest:g} ")
+    assert "by looks on the grid alone: between its times nothing is proven." in found.explain()

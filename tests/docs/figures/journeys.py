@@ -90,7 +90,7 @@ ROWS = (
         r"\| (\d+) readings a week at a cost of (\d+) a week",
         engineer(r"(\d+) samples every 7 d, at a cost of (\d+),"),
     ),
-    (r"Next sample by Thu (\d+):00 \(strip\)", engineer(r"Next sample by Thu (\d+):00 \(strip\)")),
+    (r"Next sample at Thu (\d+):00 \(strip\)", engineer(r"Next sample at Thu (\d+):00 \(strip\)")),
     (r"as table and picture \|\n\| `validate` \| (\d+) proven bounds", engineer(PROMISES)),
     (r"any (\d+) distinct times in 3 s .*; fewer than (\d+)", researcher(r"Any (\d+) distinct .*? than (\d+) never")),
     (

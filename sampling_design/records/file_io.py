@@ -9,8 +9,10 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,7 +29,9 @@ FRAME = "the frame"  # where rows stand that no file holds
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 _MARKED = {
-    mark: re.compile(rf'(?:^|[;\t])[ "]*[<>]? *[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?[ "]*(?:$|(?=[;\t]))', re.M)
+    mark: re.compile(
+        rf'(?:^|[;\t])[ "]*(?:[<>] *)?[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?[ "]*(?:$|(?=[;\t]))', re.M
+    )
     for mark in ",."
 }
 
@@ -112,16 +116,18 @@ def separator(header: str) -> str:
     return max(",;\t", key=header.count) if header.count(",") == 0 else ","
 
 
-def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> list[tuple[int, list[str]]]:
+def csv_rows(lines: Sequence[tuple[int, str]], where: str, mark: str = "") -> list[tuple[int, list[str]]]:
     """Return the cells of numbered lines of a CSV file, the first of which is its header unless `mark` separates cells.
 
     Cells are separated by what separates the header: a comma, a semicolon or a tab. Spreadsheets in many languages
     write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5. Raises FileFormatError if a
-    quote is left open or a cell is beyond all measure.
+    quote is left open, a cell is beyond all measure, or a file has decimal commas and decimal points.
     """
     rows: list[tuple[int, list[str]]] = []
+    if not mark and lines:
+        mark = separator(lines[0][1])
+        one_decimal_mark(lines, where, mark)
     for number, line in lines:
-        mark = mark or separator(line)
         try:
             row = next(csv.reader([line], delimiter=mark, strict=True))
         except csv.Error as error:
@@ -136,8 +142,32 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
     return rows
 
 
-def decimal_marks(text: str) -> set[str]:
-    """Which of comma and point stand in cells of lines that hold nothing but a number or its limit."""
+def one_decimal_mark(
+    lines: Sequence[tuple[int, str]], where: str, separated: str, before: AbstractSet[str] = frozenset()
+) -> AbstractSet[str]:
+    """Return which of comma and point the numbers of a file have, up to and with these lines.
+
+    Where a comma separates no cells, it may be a decimal one. Raises FileFormatError for 1.234 beside 0,5, which may be
+    1234 or 1.234.
+    """
+    if separated == ",":
+        return before
+    marks = before | _decimal_marks("\n".join(line for _, line in lines))
+    if len(marks) > 1:
+        so_far = accumulate((_decimal_marks(line) for _, line in lines), lambda a, b: a | b, initial=before)
+        number = next(
+            number for (number, _), found in zip(lines, islice(so_far, 1, None), strict=True) if len(found) > 1
+        )
+        raise FileFormatError(
+            f"{where}: {row_name(where, number)} has a decimal point where others have a decimal comma, or the other "
+            "way round, so that one may stand for thousands. Write all numbers in one way.",
+            where,
+        )
+    return marks
+
+
+def _decimal_marks(text: str) -> AbstractSet[str]:
+    """Those that stand in cells which hold nothing but a number or its limit."""
     return {mark for mark, number in _MARKED.items() if number.search(text)}
 
 

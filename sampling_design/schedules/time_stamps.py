@@ -18,6 +18,7 @@ from sampling_design.records.units import SECONDS, check_time_unit
 from sampling_design.schedules.files import in_file
 from sampling_design.schedules.schedule import Schedule
 
+MISSING = ("", "-", "--", "nan", "na", "n/a", "nat", "null", "none")  # how programs write that nothing was measured
 MICROSECONDS = 1_000_000  # of a second: dates are exact to one
 
 
@@ -43,8 +44,8 @@ def import_time_stamps(
         Which column holds the times. Default `time`, else `date`. Numbers count as times in `time_unit`,
         anything else must be ISO 8601 (naive means UTC, offsets are honoured).
     outputs : sequence of str, optional
-        Columns of measured values: a cell that is not empty (nor nan) says that this output was measured;
-        a row without any is left out. Default: every row is a sample of every output.
+        Columns of measured values: a cell that is not empty (nor nan, NA, null, a dash) says that this output was
+        measured; a row without any is left out. Default: every row is a sample of every output.
 
     Returns
     -------
@@ -77,7 +78,7 @@ def import_time_stamps(
     times: list[float] = []
     mask: list[list[bool]] = []
     for line, row in rows:
-        measured = [row[header.index(o)].strip().lower() not in ("", "nan") for o in outputs or ()]
+        measured = [row[header.index(o)].strip().lower() not in MISSING for o in outputs or ()]
         if outputs and not any(measured):
             continue
         value, zero = _value(row[header.index(name)].strip(), zero, time_unit, name == "date", f"{where}, line {line}")

@@ -108,3 +108,22 @@ class Missing(datetime):
 def test_a_missing_date_is_no_date():
     with pytest.raises(ArgumentError, match="`start` must be a date like 2026-01-05T08:00"):
         parse_date("start", Missing(2026, 1, 5))
+
+
+@pytest.mark.parametrize("blank", ["", "-", "NaN", "NA", "n/a", "null", "None"])
+def test_a_cell_that_says_missing_is_no_sample(tmp_path, blank):
+    path = tmp_path / "stamps.csv"
+    path.write_text(f"time,a,b\n0,1,{blank}\n1,{blank},{blank}\n2,{blank},x\n")
+    found = import_time_stamps(path, "h", outputs=["a", "b"])
+    assert found.times.tolist() == [0.0, 2.0]
+    assert found.outputs.tolist() == [[True, False], [False, True]]
+
+
+def test_a_file_of_stamps_has_one_decimal_mark(tmp_path):
+    path = tmp_path / "stamps.csv"
+    for text in ("time;a\n0,5;1\n1.234;2\n", "time\ta\n0.5\t1\n1,234\t2\n"):
+        path.write_text(text)
+        with pytest.raises(FileFormatError, match="line 3 has a decimal point where others have a decimal comma"):
+            import_time_stamps(path, "h")
+    path.write_text("time;a\n0,5;1\n1,234;2\n")
+    assert import_time_stamps(path, "h").times.tolist() == [0.5, 1.234]

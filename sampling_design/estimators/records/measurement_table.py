@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
-from itertools import accumulate, chain, islice
+from itertools import chain, islice
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -171,7 +171,7 @@ class MeasurementTable:
 
     def add_block(self, lines: list[Numbered]) -> None:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
-        self._refuse_two_decimal_marks(lines)
+        self._marks = file_io.one_decimal_mark(lines, self.where, self.mark, self._marks)
         plain = self._plain(lines) if self._by_time is None else None
         if plain is not None:
             times, y, u, censored = plain
@@ -191,21 +191,6 @@ class MeasurementTable:
             cell = dict(zip(self.header, cells, strict=True))
             self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()
-
-    def _refuse_two_decimal_marks(self, lines: list[Numbered]) -> None:
-        """Refuse 1.234 beside 0,5: it may be 1234 or 1.234."""
-        if self.mark == ",":
-            return
-        marks = [self._marks | file_io.decimal_marks("\n".join(text for _, text in lines))]
-        if len(marks[0]) > 1:
-            marks = list(accumulate((file_io.decimal_marks(text) for _, text in lines), set.union, initial=self._marks))
-            number = next(number for (number, _), so_far in zip(lines, marks[1:], strict=True) if len(so_far) > 1)
-            raise FileFormatError(
-                f"{self.where}: {row_name(self.where, number)} has a decimal point where others have a decimal "
-                "comma, or the other way round, so that one may stand for thousands. Write all numbers in one way.",
-                self.where,
-            )
-        self._marks = marks[0]
 
     def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array, dict[int, list[CensoredReading]]] | None:
         """Times, outputs, inputs and, by row, readings beyond limits of rows in order of time; None for any other rows.

@@ -10,7 +10,6 @@ import re
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from itertools import accumulate, islice
 from pathlib import Path
@@ -28,9 +27,9 @@ PIECES = 1 << 14  # tokens of JSON that are written at a time
 FRAME = "the frame"  # where rows stand that no file holds
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
-_MARKED = {
+_MARKED = {  # a cell between separators that holds a number with this decimal mark
     mark: re.compile(
-        rf'(?:^|[;\t])[ "]*(?:[<>] *)?[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?[ "]*(?:$|(?=[;\t]))', re.M
+        rf'(?:^|[;\t])[ "]*(?:[<>] *)?[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?[ "]*(?:$|(?=[;\t]))', re.MULTILINE
     )
     for mark in ",."
 }
@@ -143,8 +142,8 @@ def csv_rows(lines: Sequence[tuple[int, str]], where: str, mark: str = "") -> li
 
 
 def one_decimal_mark(
-    lines: Sequence[tuple[int, str]], where: str, separated: str, before: AbstractSet[str] = frozenset()
-) -> AbstractSet[str]:
+    lines: Sequence[tuple[int, str]], where: str, separated: str, before: frozenset[str] = frozenset()
+) -> frozenset[str]:
     """Return which of comma and point the numbers of a file have, up to and with these lines.
 
     Where a comma separates no cells, it may be a decimal one. Raises FileFormatError for 1.234 beside 0,5, which may be
@@ -154,7 +153,7 @@ def one_decimal_mark(
         return before
     marks = before | _decimal_marks("\n".join(line for _, line in lines))
     if len(marks) > 1:
-        so_far = accumulate((_decimal_marks(line) for _, line in lines), lambda a, b: a | b, initial=before)
+        so_far = accumulate((_decimal_marks(line) for _, line in lines), frozenset.union, initial=before)
         number = next(
             number for (number, _), found in zip(lines, islice(so_far, 1, None), strict=True) if len(found) > 1
         )
@@ -166,9 +165,9 @@ def one_decimal_mark(
     return marks
 
 
-def _decimal_marks(text: str) -> AbstractSet[str]:
+def _decimal_marks(text: str) -> frozenset[str]:
     """Those that stand in cells which hold nothing but a number or its limit."""
-    return {mark for mark, number in _MARKED.items() if number.search(text)}
+    return frozenset(mark for mark, number in _MARKED.items() if number.search(text))
 
 
 def row_name(where: str, line: int) -> str:

@@ -143,7 +143,7 @@ class MeasurementTable:
         self.read = clock.date if stamp == "date" else clock.time
         self.censored: list[tuple[CensoredReading, ...]] = []
         self._blocks: list[tuple[Array, Array, Array, Index]] = []
-        self._marks: set[str] = set()  # decimal marks so far
+        self._marks: frozenset[str] = frozenset()  # decimal marks so far
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows: list[tuple[float, list[float], list[float], int]] = []  # that were read one by one
         self._by_time: dict[float, tuple[int, tuple[float, ...]]] | None = None

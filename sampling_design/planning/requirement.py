@@ -37,7 +37,7 @@ class AccuracyGoal(PlainRecord):
         In the row's unit, > 0.
     at : str or sequence of float
         "all times" (the same: "until the next" sample), "after each sample", or times of the period from its start on:
-        a sample at such a time does not count there yet.
+        a sample at such a time, or a result that comes then, does not count there yet.
     row : (n,) array, optional
         Combination of states; default: the state or output of the goal's name.
     kind : str

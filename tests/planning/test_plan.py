@@ -211,11 +211,12 @@ def test_spacing_and_limits_are_kept():
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9
 
 
-def test_a_sample_at_a_given_time_does_not_count_there_yet():
-    plant, goal = sd.Plant([[0.0]], [[1.0]], states=["level"]), {"tolerance": 1.0, "at": [4.0]}
-    terms = {"y1": {"noise_bound": 0.1, "available": [[4.0, 5.0]]}}
+@pytest.mark.parametrize(("hours", "delay", "age"), [([4.0, 5.0], None, 8.0), ([2.0, 3.0], 2.0, 10.0)])
+def test_a_sample_or_a_result_at_a_given_time_does_not_count_there_yet(hours, delay, age):
+    plant, goal = sd.Plant([[0.0]], [[1.0]], states=["level"]), {"tolerance": 2.0, "at": [4.0]}
+    terms = {"y1": {"noise_bound": 0.1, "available": [hours], "result_delay": delay}}
     wanted = sd.PlanRequirement({"level": goal}, period=8.0, grid=1.0, w_bound=[0.1], sensors=terms)
-    assert sd.plan_samples(plant, wanted, **BARE).reached == pytest.approx([0.1 + 8.0 * 0.1], rel=1e-3)
+    assert sd.plan_samples(plant, wanted, **BARE).reached == pytest.approx([0.1 + age * 0.1], rel=1e-3)
 
 
 @pytest.mark.parametrize("limits", [{"samples": 3}, {"cost_limit": 13.0}])

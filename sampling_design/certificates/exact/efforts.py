@@ -26,7 +26,7 @@ PARTS = 0.42, 0.55
 PRECISE_WORK, PRECISE_PROOF = 2e6, 6e6
 """Work of the search in more digits than doubles have; of one of its proofs, twice that of
 all."""
-SPARE_WORK = 3e6  # of one fast rate in more digits, where all other proofs have left nothing
+SPARE_WORK = 5e6  # of one fast rate in more digits, where all other proofs have left nothing
 FINER = 4  # how much finer the second look for a missed peak is than the first
 HIGHER = 1 + 1e-6
 """By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""

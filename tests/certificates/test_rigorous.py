@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
 from sampling_design.certificates.paper.proof_constants import certify_from_proof
+from sampling_design.certificates.rigorous import ball_proof
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, noise
 from sampling_design.certificates.rigorous.ball_proof import long_run, settled
 from sampling_design.certificates.rigorous.decide import (
     assumption_7,
     attained,
+    decided_on_schedule,
     replays_in_balls,
     targets,
     verify_rigorously,
@@ -25,7 +27,7 @@ from sampling_design.certificates.rigorous.decide import (
 from sampling_design.certificates.rigorous.refutation import RefutationSearch, fails_at, refute
 from sampling_design.checkers import numbers
 from sampling_design.checkers.claims import certificate as content
-from sampling_design.checkers.outcome import Refused, Undecided
+from sampling_design.checkers.outcome import Refused, Undecided, WorkLimit
 from sampling_design.errors import CertificateError, MissingExtraError
 from sampling_design.numerics import balls
 from sampling_design.numerics.filtering import propagate
@@ -461,13 +463,24 @@ def test_a_long_run_whose_peak_lies_between_samples_is_proven(A, gap, P2):
 
 def test_a_long_run_that_never_comes_near_itself_is_no_family(made):
     c = content(made("oscillator").to_dict())
-    with balls.precision(), pytest.raises(ArithmeticError, match="the recursion does not settle"):
-        long_run(
-            framed(c, targets(c.weights)[0].target, "never"), 1e-14, lambda before, after: False, lambda maps: None
-        )
+    with balls.precision():
+        frame = framed(c, targets(c.weights)[0].target, "never")
+        with pytest.raises(ArithmeticError, match="the recursion does not settle"):
+            long_run(frame, frame.identity, lambda before, after: False, lambda maps: None)
 
 
 def test_a_long_run_far_above_what_is_claimed_is_no_family(made):
     c = content(made("oscillator").to_dict())
     with balls.precision(), pytest.raises(ArithmeticError, match="settles far above what is claimed"):
         settled(framed(c, balls.symmetric(1e9 * c.weights.P1), "far"), 1e-14, ENDLESS)
+
+
+def test_windows_that_linger_are_caught_by_a_family_that_is_wide_there(monkeypatch):
+    """What is hardly driven settles far below where windows begin, and they come down as slowly as it decays."""
+    plant = Plant(np.diag([0.05, -0.01]), [[1.0, 0.1]], G=np.diag([1.0, 1e-4]))
+    made = certify(plant, PeriodicSchedule([1.0]), eta=0.002, P2=np.diag([0.2, 1.0]))
+    assert decided_on_schedule(made.content, WorkLimit(1e5)).passed
+    with monkeypatch.context() as without:
+        without.setattr(ball_proof, "SOUGHT", 0)
+        narrow = decided_on_schedule(made.content, WorkLimit(1e5))
+    assert (narrow.verdict, narrow.reason) == ("undecided", "it takes more work than was handed over")

@@ -72,7 +72,8 @@ class PreciseWindows:
             return bool(np.all(np.abs(floats(after - before)) <= REACHED * size * size[:, None]))
 
         try:
-            return one_period(self.frame, long_run(self.frame, 0.0, converged, self._spend), 0.0)[0]
+            none = ball(0.0) * self.frame.identity
+            return one_period(self.frame, long_run(self.frame, none, converged, self._spend), none)[0]
         except ArithmeticError:
             raise SolverError(
                 "the information did not settle: the schedule is on the edge of what can be certified."

@@ -5,7 +5,8 @@
 2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
    gains: the two ends of the chord cover the cell.
 3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further,
-   and none at all where the flow alone takes a multiple of I below itself, since samples only lower Y.
+   and none at all where the flow alone takes a multiple of I below itself, since samples only lower Y. Any one of
+   several such families will do.
 
 Midpoints propose gains and the family; balls decide.
 """
@@ -35,6 +36,13 @@ PROPOSALS = {BITS: (1e-14, 1e-10, 1e-6, 1e-3), 400: (1e-44, 1e-38, 1e-32, 1e-26,
 Little of it comes first: more of it fills fast directions, where Y must then be followed in short steps. Nearly equal
 modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
 """
+SEEN = 20  # samples along which a window is followed before a family is sought that is made to catch it
+SOUGHT = 3  # such families in one proof, each of a window that was followed twice as far as that of the one before
+SHAPED = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4)
+"""Shares of the covariance of such a window that are added at every sample for that family: the most of it first.
+
+What settles slowly gathers them, so that the family is wide where windows linger, and hardly wider elsewhere.
+"""
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02, 0.0)
 """How far the family is blown up towards I, as powers of what samples leave: not at all where the peak lies between."""
 
@@ -42,11 +50,16 @@ Period = tuple[Matrix, Matrix, Matrix]
 """A, H, W of the map Y -> A Y (I + H Y)^-1 A' + W that samples and gaps make; midpoints."""
 
 
-def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list[Matrix], float]:
+def settled(
+    frame: ScheduleFrame, inflation: float, clock: Budget, shape: Matrix | None = None
+) -> tuple[list[Matrix], float]:
     """Return Y after each sample of the last period with inflated noise, midpoints, and its largest eigenvalue there.
 
-    Raises ArithmeticError if it leaves I behind by far, or does not settle.
+    At every sample `inflation` I is added, and `shape` where there is one. Raises ArithmeticError if it leaves I behind
+    by far, or does not settle.
     """
+    more = ball(inflation) * frame.identity
+    more = more if shape is None else more + shape
 
     def converged(before: Matrix, after: Matrix) -> bool:
         return _size(after - before) <= 1e-2 * inflation
@@ -56,23 +69,23 @@ def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list
 
     if not frame.schedule.periodic:
         spend(frame.schedule.N)
-        return one_period(frame, frame.start.mid(), inflation)
-    covariances, worst = one_period(frame, long_run(frame, inflation, converged, spend), inflation)
+        return one_period(frame, frame.start.mid(), more)
+    covariances, worst = one_period(frame, long_run(frame, more, converged, spend), more)
     if not worst < LOST:
         raise ArithmeticError("the recursion settles far above what is claimed")
     return covariances, worst
 
 
 def long_run(
-    frame: ScheduleFrame, inflation: float, converged: Callable[[Matrix, Matrix], bool], spend: Callable[[int], None]
+    frame: ScheduleFrame, more: Matrix, converged: Callable[[Matrix, Matrix], bool], spend: Callable[[int], None]
 ) -> Matrix:
-    """Y after a period's last sample, in the long run of noise that is inflated; midpoints.
+    """Y after a period's last sample, in the long run where `more` is added at every sample; midpoints.
 
     Periods are composed, twice as many in each step, so that what settles over thousands of them costs a dozen maps.
     Raises ArithmeticError if it does not settle over 2^DOUBLINGS periods.
     """
     spend(frame.schedule.N)
-    period = reduce(_then, [_sampled(frame, i, inflation) for i in range(frame.schedule.N)])
+    period = reduce(_then, [_sampled(frame, i, more) for i in range(frame.schedule.N)])
     Y = _apply(period, frame.start.mid())
     for _ in range(DOUBLINGS):
         spend(1)
@@ -85,12 +98,12 @@ def long_run(
     raise ArithmeticError("the recursion does not settle")
 
 
-def _sampled(frame: ScheduleFrame, i: int, inflation: float) -> Period:
-    """The gap before sample i, the sample, and what is inflated after it."""
+def _sampled(frame: ScheduleFrame, i: int, more: Matrix) -> Period:
+    """The gap before sample i, the sample, and what is added after it."""
     F, W = frame.flow.over(frame.schedule.gaps[i])
     C, K = frame.rows[i], frame.gain(W, i)
     output, variance = C * F, C * W * C.transpose() + frame.noises[i]
-    left = _even(frame.with_gain(W, i, K)) + ball(inflation) * frame.identity
+    left = _even(frame.with_gain(W, i, K)) + more
     return ((frame.identity - K * C) * F).mid(), _even(output.transpose() * variance.solve(output)), left
 
 
@@ -108,9 +121,9 @@ def _apply(period: Period, Y: Matrix) -> Matrix:
     return _even(W + A * Y * (identity(A.nrows()) + H * Y).solve(A.transpose()))
 
 
-def one_period(frame: ScheduleFrame, Y: Matrix, inflation: float) -> tuple[list[Matrix], float]:
-    """Y after each sample, then inflated, and the largest eigenvalue; midpoints."""
-    covariances, worst, more = [], 0.0, ball(inflation) * frame.identity
+def one_period(frame: ScheduleFrame, Y: Matrix, more: Matrix) -> tuple[list[Matrix], float]:
+    """Y after each sample, with `more` added, and the largest eigenvalue; midpoints."""
+    covariances, worst = [], 0.0
     for i, gap in enumerate(frame.schedule.gaps):
         F, W = frame.flow.over(gap)
         before = (F * Y * F.transpose() + W).mid()
@@ -142,7 +155,8 @@ class BallWindows:
     def __init__(self, frame: ScheduleFrame, clock: Budget) -> None:
         self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
         self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
-        self.family: list[Matrix] | None = None
+        self.families: list[list[Matrix]] = []
+        self.inflation, self.sought = 0.0, 0  # of the first one; how often a wider one was sought
 
     @cached_property
     def falling(self) -> BallFlow:
@@ -176,16 +190,23 @@ class BallWindows:
         A finite schedule needs none.
         """
         for inflation in inflations:
-            try:
-                Z, worst = settled(self.frame, inflation, self.clock)
-            except (ArithmeticError, np.linalg.LinAlgError):
-                continue
-            if not worst < 1:  # nor with more noise
-                break
-            for power in POWERS:
-                if self.invariant([ball(worst**-power) * z for z in Z]):
-                    return True
+            if self.proposed(inflation):
+                self.inflation = inflation
+                return True
         return not self.schedule.periodic
+
+    def widen(self, Y: Matrix) -> None:
+        """Find and prove another family, as wide as may be in the directions in which windows like Y linger."""
+        self.sought += 1
+        any(self.proposed(self.inflation, ball(share) * _even(Y)) for share in SHAPED)
+
+    def proposed(self, inflation: float, shape: Matrix | None = None) -> bool:
+        """Whether the family of this inflation and shape is proven."""
+        try:
+            Z, worst = settled(self.frame, inflation, self.clock, shape)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return False
+        return worst < 1 and any(self.invariant([ball(worst**-power) * z for z in Z]) for power in POWERS)
 
     def invariant(self, B: list[Matrix]) -> bool:
         """Whether the family is proven; keep it if so."""
@@ -197,23 +218,24 @@ class BallWindows:
             if not (definite(B[after] - left) and self.below_one(B[i], schedule.gaps[after])):
                 self.reached = reached
                 return False
-        self.family = B
+        self.families.append(B)
         return True
 
     def caught(self, ends: list[Matrix], i: int) -> bool:
         """Whether the window need not be followed beyond sample i."""
         if not self.schedule.periodic and i + 1 == self.schedule.N:
             return True
-        if self.family is None:
-            return False
-        return all(definite(self.family[i] - Y) for Y in ends)
+        return any(all(definite(family[i] - Y) for Y in ends) for family in reversed(self.families))
 
     def follow(self, ends: list[Matrix], i: int) -> bool:
         """Whether all windows between `ends`, which hold Y just before sample i, stay below I."""
         frame, schedule = self.frame, self.schedule
-        for _ in range(PERIODS * schedule.N):
+        for followed in range(PERIODS * schedule.N):
             self.clock.check(200 + 3 * frame.n**3)
-            K = frame.gain(sum(ends[1:], ends[0]) / len(ends), i)
+            middle = sum(ends[1:], ends[0]) / len(ends)
+            if self.families and self.sought < SOUGHT and followed == SEEN * 2**self.sought:
+                self.widen(middle)
+            K = frame.gain(middle, i)
             ends = [raised(frame.with_gain(Y, i, K)) for Y in ends]
             if self.caught(ends, i):
                 return True

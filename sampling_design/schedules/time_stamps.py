@@ -102,12 +102,12 @@ def zoned_date(text: str) -> datetime:
     if not bracket:
         return date
     place = time_zone(zone[:-1])
-    if date.tzinfo is None and not shown_once(date, place):
+    if date.tzinfo is None and not unambiguous(date, place):
         raise ArgumentError(f"{text} is skipped or repeated by the clocks of {place}: give its offset.")
     return date.replace(tzinfo=place) if date.tzinfo is None else date.astimezone(place)
 
 
-def shown_once(date: datetime, place: tzinfo) -> bool:
+def unambiguous(date: datetime, place: tzinfo) -> bool:
     """Whether clocks there show this local date exactly once: they neither skip nor repeat it."""
     early, late = (date.replace(tzinfo=place, fold=fold).utcoffset() for fold in (0, 1))
     return early == late
@@ -136,7 +136,7 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     try:
         date = value if isinstance(value, datetime) else zoned_date(value)
     except ArgumentError as error:
-        raise ArgumentError(f"`{name}`: {error}") from None
+        raise ArgumentError(f"`{name}` names no instant: {error}") from None
     except (TypeError, ValueError, AttributeError):
         pass
     if date is None or date != date:  # pandas counts its missing date among dates
@@ -145,7 +145,7 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     if date.tzinfo is not None or zone is None:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date
     place = time_zone(zone)
-    if not shown_once(date, place):
+    if not unambiguous(date, place):
         raise ArgumentError(f"`{name}` = {value} is skipped or repeated by the clocks of {zone}: give its offset.")
     return date.replace(tzinfo=place)
 

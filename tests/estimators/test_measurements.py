@@ -375,12 +375,16 @@ def test_a_date_that_clocks_skip_or_repeat_is_refused_wherever_it_stands(tmp_pat
         written(tmp_path, f"date,gauge\n{date}[{BERLIN}],1\n"),
         pandas.DataFrame({"date": ["2026-10-25T08:00+01:00"], "gauge": [1.0]}),
     )
-    with pytest.raises(FileFormatError, match=r"the date in line 2: .* is skipped or repeated by the clocks of Eu"):
+    with pytest.raises(
+        FileFormatError, match=r"the date in line 2 names no instant: .* is skipped or repeated by the clocks of Eu"
+    ):
         read_measurements(row, BLIND)
     for given in ({"origin": date, "zone": BERLIN}, {"origin": f"{date}[{BERLIN}]"}):
         with pytest.raises(FileFormatError, match=r"given as origin.* is skipped or repeated by the clocks of Eu"):
             read_measurements(origin, BLIND, **given)
-    with pytest.raises(ArgumentError, match=r"`origin`: .* is skipped or repeated by the clocks of Europe/Berlin"):
+    with pytest.raises(
+        ArgumentError, match=r"`origin` names no instant: .* is skipped or repeated by the clocks of Europe/Berlin"
+    ):
         Measurements(BLIND, [0.0], [[1.0]], origin=f"{date}[{BERLIN}]")
 
 

@@ -115,7 +115,7 @@ def _text(frame: _PandasFrame | _PolarsFrame) -> str:
             except Exception:
                 kind = getattr(frame[name], "dtype", "unknown")
                 raise FileFormatError(
-                    f"{file_io.FRAME}: column {str(name)!r} must hold numbers, texts or dates of the years 1 to 9999, "
+                    f"the frame: column {str(name)!r} must hold numbers, texts or dates of the years 1 to 9999, "
                     f"got the kind {kind}.",
                     file_io.FRAME,
                 ) from None
@@ -155,7 +155,7 @@ def _stamp_of(index: object, alone: bool) -> str:
         return ""
     if np.array_equal(np.asarray(index), np.arange(np.asarray(index).size)):
         raise FileFormatError(
-            f"{file_io.FRAME}: has no column `time` or `date`, and its index counts the rows. Add the column, or take "
+            "the frame: has no column `time` or `date`, and its index counts the rows. Add the column, or take "
             "the times for the index.",
             file_io.FRAME,
         )

@@ -19,7 +19,7 @@ from sampling_design.records.declarations import moment
 from sampling_design.records.file_io import row_name
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.files import MARK
-from sampling_design.schedules.time_stamps import date_after, shown_once, time_zone, zoned_date, zoned_text
+from sampling_design.schedules.time_stamps import date_after, time_zone, unambiguous, zoned_date, zoned_text
 
 Numbered = tuple[int, str]
 
@@ -123,7 +123,7 @@ class _DateConverter:
         if date.tzinfo is not None:
             return date
         self.naive = True
-        if not shown_once(date, self.zone):
+        if not unambiguous(date, self.zone):
             raise FileFormatError(
                 f"{self.where}: the date {_place(self.where, line)} is skipped or repeated by the clocks of "
                 f"{self.zone}: {cell!r:.60}. Give its offset.",
@@ -423,7 +423,7 @@ def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> date
     try:
         date = zoned_date(cell)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: the date {_place(where, line)}: {error}", where) from None
+        raise FileFormatError(f"{where}: the date {_place(where, line)} names no instant: {error}", where) from None
     except ValueError:
         at = _place(where, line)
         slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""

@@ -9,7 +9,7 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import accumulate, islice
 from pathlib import Path
@@ -115,7 +115,7 @@ def separator(header: str) -> str:
     return max(",;\t", key=header.count) if header.count(",") == 0 else ","
 
 
-def csv_rows(lines: Sequence[tuple[int, str]], where: str, mark: str = "") -> list[tuple[int, list[str]]]:
+def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> list[tuple[int, list[str]]]:
     """Return the cells of numbered lines of a CSV file, the first of which is its header unless `mark` separates cells.
 
     Cells are separated by what separates the header: a comma, a semicolon or a tab. Spreadsheets in many languages
@@ -123,6 +123,7 @@ def csv_rows(lines: Sequence[tuple[int, str]], where: str, mark: str = "") -> li
     quote is left open, a cell is beyond all measure, or a file has decimal commas and decimal points.
     """
     rows: list[tuple[int, list[str]]] = []
+    lines = list(lines)
     if not mark and lines:
         mark = separator(lines[0][1])
         one_decimal_mark(lines, where, mark)

@@ -37,7 +37,6 @@ class AwaitedResult(NamedTuple):
 
 
 GRID_ALONE = "between its times nothing is proven"
-
 Reading: TypeAlias = npt.ArrayLike | Sequence[PartialReading | float] | None
 
 
@@ -190,15 +189,11 @@ class NextSample(Record):
             one = f"{self.when(self.latest)} ({', '.join(self.outputs)})"
             text = f"A sample at {one} helps soonest"
             if self.exceeded is None:
-                late = "" if self.deadline is None else f": with one at {one} "
-                late += "" if self.deadline is None else self._later(self.deadline)
+                late = "" if self.deadline is None else f": with one at {one} {self._later(self.deadline)}"
                 text = f"No single sample keeps every tolerance from now on{late}"
             return f"{self._state()}{text}. Every tolerance is kept {self._again()}{self._unproven()}."
-        alone = [
-            f"{name} alone {self._by(t)} {self._beside(t)}"
-            for name, t in self.alone.items()
-            if np.isfinite(t) and (name,) != self.outputs
-        ]
+        others = {name: t for name, t in self.alone.items() if np.isfinite(t) and (name,) != self.outputs}
+        alone = [f"{name} alone {self._by(t)} {self._beside(t)}" for name, t in others.items()]
         first = f"Next sample {self._by(self.latest)} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
         later = f" At the next allowed time after that {self._later(self.deadline)}." if self.deadline else ""
         return "; ".join([first, *alone]) + f"{self._unproven()}.{later}"
@@ -237,9 +232,7 @@ class NextSample(Record):
             return {"time": number(t), "date": None if date is None else date.isoformat()}
 
         def goal(found: GoalDeadline | None) -> Plain:
-            if found is None:
-                return None
-            return {"goal": found.goal, "ratio": number(found.ratio), "when": plain(found.time)}
+            return {"goal": found.goal, "ratio": number(found.ratio), "when": plain(found.time)} if found else None
 
         return {
             **{key: plain(getattr(self, key)) for key in ("now", "latest", "best", "kept_from", "judged_until")},
@@ -313,8 +306,7 @@ def next_sample(
     `latest` may break a tolerance, since the plan's samples before it are none of the record, and one beyond the next
     allowed time may keep them all. *Assumptions.* The bounds, and later samples, and those before the record, up to the
     plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it says. Results come
-    by their `result_delay`: what is awaited counts from then on, and what is in counts now.
-    Values play no part: it holds whatever is read.
+    by their `result_delay`: what is awaited counts from then on, what is in counts now. It holds whatever is read.
 
     References
     ----------
@@ -322,11 +314,10 @@ def next_sample(
     """
     if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
-    step = plan.problem.step
     taken = _taken(plan, record)
     last = taken.times[-1] if taken is not None and taken.times.size else 0.0
     at = float(last) if now is None else checks.number("now", now)
-    if taken is not None and taken.times.size and at < last - 1e-9 * step:
+    if taken is not None and taken.times.size and at < last - 1e-9 * plan.problem.step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = _with_awaited(plan, taken, [*awaited], at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))

@@ -27,8 +27,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
+from sampling_design.records.dates import parse_date, zoned_text
 from sampling_design.records.record import short
-from sampling_design.schedules.time_stamps import parse_date, zoned_text
 
 if TYPE_CHECKING:
     from sampling_design.design.schedule_design import ScheduleDesign

@@ -18,8 +18,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.plan_record import Plan
 from sampling_design.records.checks import number
+from sampling_design.records.dates import parse_date, zoned_date
 from sampling_design.schedules.opening import WEEK
-from sampling_design.schedules.time_stamps import parse_date, zoned_date
 
 
 def plan(

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
+from sampling_design.records.dates import parse_date, passed
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.calendar import clock_changes, repeats_by_rule, write_calendar_csv, write_ics
 from sampling_design.schedules.files import write_schedule
-from sampling_design.schedules.time_stamps import parse_date, passed
 
 AHEAD = 400  # days in which the next change of a zone's clocks is looked for
 

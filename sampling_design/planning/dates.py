@@ -28,11 +28,11 @@ from sampling_design.planning.sequence_deviation import (
 )
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.dates import zoned_text
 from sampling_design.records.record import ListRecord, PlainRecord, above, counted
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
-from sampling_design.schedules.time_stamps import zoned_text
 
 DatedSample: TypeAlias = tuple[float, Mask]
 

@@ -15,13 +15,13 @@ from sampling_design.plants.rows import requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.records.dates import zoned_text
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, spoken, time_factor
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.opening import DAYS, week_hours
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.schedules.sensor import Sensor, duration, result_span
-from sampling_design.schedules.time_stamps import zoned_text
 
 WHOLE = 1e-6  # a time counts as a whole number of grid steps within this share of a step
 DEFAULT_STEPS = 96  # steps of a period without a grid

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from sampling_design.records.arrays import Array, Index
+from sampling_design.records.dates import date_after, parse_date, passed
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, readable_unit
-from sampling_design.schedules.time_stamps import date_after, parse_date, passed
 
 MEASURED = "#2b6398"
 PROVEN = "#20793e"

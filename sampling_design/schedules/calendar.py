@@ -11,12 +11,12 @@ from pathlib import Path
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.dates import parse_date, time_zone
 from sampling_design.records.file_io import csv_cell, write_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.schedules.time_stamps import parse_date, time_zone
 
 _FREQUENCIES = (("WEEKLY", 604800), ("DAILY", 86400), ("HOURLY", 3600), ("MINUTELY", 60), ("SECONDLY", 1))
 _FOLD = 75  # octets per line, RFC 5545 section 3.1

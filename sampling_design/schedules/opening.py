@@ -17,8 +17,8 @@ from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.dates import parse_date, passed, time_zone, zoned_date
 from sampling_design.records.record import PlainRecord
-from sampling_design.schedules.time_stamps import parse_date, passed, time_zone, zoned_date
 
 WeekHours: TypeAlias = dict[str, tuple[tuple[str, str], ...]]
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")

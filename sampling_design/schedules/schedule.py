@@ -13,6 +13,7 @@ from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import ListRecord, Plain, counted, moment, short
 from sampling_design.records.units import check_time_unit, time_factor
@@ -77,6 +78,8 @@ class _Sampled(ListRecord[float]):
     def _own(self, **values: Array | Mask | float | tuple[str, ...] | None) -> None:
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
+        if self.origin is not None:
+            parse_date("origin", self.origin)
         mask = values.get("outputs")
         if self.output_names is not None:
             if not is_list(self.output_names):
@@ -123,7 +126,7 @@ class Schedule(_Sampled):
     Raises
     ------
     ArgumentError
-        If times are unsorted, repeated or negative, or the mask has another shape.
+        If times are unsorted, repeated or negative, the mask has another shape, or `origin` is no date.
 
     Examples
     --------

@@ -30,12 +30,12 @@ from sampling_design.checkers.strict import (
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import by_first, by_kind, csv_rows, read_text
 from sampling_design.records.record import Plain, PlainRecord, moment, short
 from sampling_design.records.units import SECONDS, time_factor
 from sampling_design.schedules.opening import OpeningCalendar, week_hours
-from sampling_design.schedules.time_stamps import parse_date
 
 Duration: TypeAlias = float | str
 Windows: TypeAlias = npt.ArrayLike | Sequence[tuple[str, str]] | str | os.PathLike[str] | None

@@ -108,6 +108,12 @@ def test_plain_data_is_exact():
         (lambda: Schedule([[0.0, 1.0]]), "`times` must have 1 dimension, got shape"),
         (lambda: Schedule([1j]), "`times` must be real, got complex"),
         (lambda: Schedule([1.0], time_unit="year"), "`time_unit` must be one of ms, s, min, h, d, wk, got 'year'"),
+        (lambda: Schedule([1.0], origin="soon"), "`origin` must be a date like .*, got 'soon'"),
+        (lambda: Schedule([1.0], origin=5), "`origin` must be a date like .*, got int 5"),
+        (
+            lambda: PeriodicSchedule([1.0], origin="2026-03-29T02:30[Europe/Berlin]"),
+            "skipped or repeated by the clocks",
+        ),
         (lambda: Schedule([1.0], [[0, 0]]), "must measure at least one output at each sample, got none at sample 0"),
         (lambda: Schedule([1.0, 2.0], [[1, 0], [1]]), "`outputs` must have one row per sample, all of one length, got"),
         (lambda: Schedule([1.0], [[2]]), "`outputs` must hold True/False or 1/0 only"),

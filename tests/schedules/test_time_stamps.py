@@ -5,7 +5,8 @@ import pytest
 
 from sampling_design import ArgumentError
 from sampling_design.errors import FileFormatError
-from sampling_design.schedules.time_stamps import import_time_stamps, parse_date
+from sampling_design.records.dates import parse_date
+from sampling_design.schedules.time_stamps import import_time_stamps
 
 
 @pytest.fixture

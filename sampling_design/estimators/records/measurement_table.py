@@ -15,11 +15,11 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index
+from sampling_design.records.dates import date_after, time_zone, unambiguous, zoned_date, zoned_text
 from sampling_design.records.declarations import moment
 from sampling_design.records.file_io import row_name
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.files import MARK
-from sampling_design.schedules.time_stamps import date_after, time_zone, unambiguous, zoned_date, zoned_text
 
 Numbered = tuple[int, str]
 

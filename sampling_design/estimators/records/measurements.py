@@ -32,11 +32,11 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.records.dates import parse_date, passed, zoned_text
 from sampling_design.records.declarations import Column
 from sampling_design.records.record import ListRecord, counted, moment
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
-from sampling_design.schedules.time_stamps import parse_date, passed, zoned_text
 
 MeasuredRow = tuple[float | tuple[float, float], object, Array | None]
 """Time (or from when to when), outputs and inputs of a row, as an estimator takes them."""

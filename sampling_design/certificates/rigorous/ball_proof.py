@@ -190,23 +190,32 @@ class BallWindows:
         A finite schedule needs none.
         """
         for inflation in inflations:
-            if self.proposed(inflation):
+            worst = self.try_family(inflation)
+            if self.families:
                 self.inflation = inflation
                 return True
+            if not worst < 1:  # nor with more noise
+                break
         return not self.schedule.periodic
 
     def widen(self, Y: Matrix) -> None:
         """Find and prove another family, as wide as may be in the directions in which windows like Y linger."""
-        self.sought += 1
-        any(self.proposed(self.inflation, ball(share) * _even(Y)) for share in SHAPED)
+        self.sought, known = self.sought + 1, len(self.families)
+        for share in SHAPED:
+            self.try_family(self.inflation, ball(share) * _even(Y))
+            if len(self.families) > known:
+                return
 
-    def proposed(self, inflation: float, shape: Matrix | None = None) -> bool:
-        """Whether the family of this inflation and shape is proven."""
+    def try_family(self, inflation: float, shape: Matrix | None = None) -> float:
+        """Try to prove the family of this inflation and shape; return its largest eigenvalue, 0 if none settles."""
         try:
             Z, worst = settled(self.frame, inflation, self.clock, shape)
         except (ArithmeticError, np.linalg.LinAlgError):
-            return False
-        return worst < 1 and any(self.invariant([ball(worst**-power) * z for z in Z]) for power in POWERS)
+            return 0.0
+        for power in POWERS if worst < 1 else ():
+            if self.invariant([ball(worst**-power) * z for z in Z]):
+                break
+        return worst
 
     def invariant(self, B: list[Matrix]) -> bool:
         """Whether the family is proven; keep it if so."""

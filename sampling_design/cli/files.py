@@ -13,6 +13,7 @@ from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import from_json, from_toml, read_text
+from sampling_design.schedules.files import MARK
 
 if TYPE_CHECKING:
     from sampling_design.accuracy.interval import Interval
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
-_FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate|plan-requirement|plan|design)\b")
+_FORMAT = re.compile(r"[\"']sampling-design/(plant|schedule|requirement|certificate|plan-requirement|plan|design)\b")
 _KEYS = {
     "plant": {"matrices", "states", "outputs", "A", "C"},
     "requirement": {"window", "period", "spacing", "samples", "target_sigma", "forbidden", "fixed", "cost_limit"},
@@ -224,6 +225,8 @@ def kind_of(path: Path) -> str:
         text = read_text(path)
     except SamplingDesignError:
         return ""
+    if text.startswith(MARK):
+        return "schedule"
     named = _FORMAT.search(text)
     if named:
         return named[1].replace("-", " ")

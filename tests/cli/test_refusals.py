@@ -68,6 +68,15 @@ def test_files_in_the_wrong_place_are_named_as_what_they_are(shell, arguments, w
     assert "Are the arguments in their order?" in result.err
 
 
+def test_a_command_in_a_text_does_not_say_what_the_text_is(shell, tmp_path):
+    command = "# sampling-design design plant.toml requirement.toml\n"
+    notes, wanted = tmp_path / "notes.md", tmp_path / "wanted.toml"
+    notes.write_text(f"Notes\n{command}")
+    wanted.write_text(f"{command}samples = 3\n")
+    assert "must end in .csv or .json, got" in shell("sigma", OSCILLATOR, notes, "--quiet").err
+    assert "is a requirement file, expected a plant file" in shell("info", wanted, "--quiet").err
+
+
 def test_a_schedule_is_not_read_as_measurements_of_ones(shell, tmp_path):
     path = write_schedule(PeriodicSchedule([1.0, 1.2], time_unit="s"), tmp_path / "schedule.csv")
     result = shell("estimate", OSCILLATOR, path, "--quiet")

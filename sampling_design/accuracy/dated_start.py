@@ -187,7 +187,7 @@ FARTHEST = 1e6
 """Beyond so many times what times add at least, nothing is sought."""
 
 
-class _Reading(NamedTuple):
+class _RowLimit(NamedTuple):
     """|C d(t)| <= size + what its time adds, by the sides of its interval; none of a reading whose time is known."""
 
     t: float
@@ -210,11 +210,11 @@ def start_of_dated(
     still = replace(disturbance, centre=np.zeros(plant.n_disturbances))
     unknown = BoundedSet.of("initial_error", None, plant.n_states)
     apart = Readings.unread(plant, still, unknown, unread.begin)  # of d, which nothing else drives
-    censored: list[_Reading] = []
+    censored: list[_RowLimit] = []
     for item, M, size, middle in zip(samples, flows, *noise, strict=True):
         xi = M @ np.append(x, 1.0)
         for i in np.flatnonzero(np.isfinite(item.y) & np.isfinite(size)).tolist():
-            censored.append(_Reading(item.t, i, abs(item.y[i] - middle[i] - plant.C[i] @ xi) + size[i], ()))
+            censored.append(_RowLimit(item.t, i, abs(item.y[i] - middle[i] - plant.C[i] @ xi) + size[i], ()))
         for each in item.censored:
             if (
                 each.stamp is None
@@ -227,12 +227,12 @@ def start_of_dated(
             least, most = _ends(known, partial(_at, xi), np.abs(xi))
             off = middle[i] + float(plant.D[i] @ input_at(inputs, item.t, plant.n_inputs, before)) + plant.C[i] @ xi
             moves = tuple(TimeShift(apart, item.t, i, end, before) for end in (first, last))
-            censored.append(_Reading(item.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
+            censored.append(_RowLimit(item.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
     found = _bounded(apart, censored)
     return None if found is None else BoundedSet.box(x, found)
 
 
-def _bounded(apart: Readings, censored: Sequence[_Reading]) -> Array | None:
+def _bounded(apart: Readings, censored: Sequence[_RowLimit]) -> Array | None:
     """How large each entry of d may be at the start; None where nothing bounds it."""
     before, tried = np.zeros(len(censored)), np.zeros(len(censored))
     for _ in range(TURNS):
@@ -250,7 +250,7 @@ def _bounded(apart: Readings, censored: Sequence[_Reading]) -> Array | None:
     return None
 
 
-def _program(apart: Readings, censored: Sequence[_Reading], added: Array) -> RecordProgram:
+def _program(apart: Readings, censored: Sequence[_RowLimit], added: Array) -> RecordProgram:
     """The program of trajectories that read zero within the sizes and what is added to them."""
     rows: dict[float, tuple[RowReading, ...]] = {apart.begin: ()}
     for each, more in zip(censored, added.tolist(), strict=True):
@@ -269,7 +269,7 @@ def _box(program: RecordProgram, t: float) -> Array:
     return np.array([program.solve(t, row)[0].value for row in np.eye(program.readings.plant.n_states)])
 
 
-def _adds(reading: _Reading, box: Array) -> float:
+def _adds(reading: _RowLimit, box: Array) -> float:
     """What a time adds at most to a reading of d, of which a box is known."""
     if not reading.sides:
         return 0.0

@@ -173,7 +173,7 @@ def deviations(
     question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
     known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    curves = _Curves(question, known.plant, W, known.moving) if safe else None
+    curves = _DeviationCurves(question, known.plant, W, known.moving) if safe else None
     lengths = np.diff(question.nodes, append=question.end)
     offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
@@ -192,7 +192,7 @@ def deviations(
     )
 
 
-class _Curves:
+class _DeviationCurves:
     """Roots of the covariances after each node, in scaled coordinates, and variances of rows between nodes."""
 
     def __init__(self, question: AccuracyQuestion, plant: Plant, W: Array, moving: Array | None):

@@ -52,7 +52,7 @@ class PeriodicEstimate(PlainRecord):
 
 
 @dataclass(frozen=True, eq=False)
-class _Phase:
+class _UpdatePhase:
     """What one update at one sample of the period needs."""
 
     outputs: Index
@@ -200,7 +200,7 @@ class PeriodicGains:
         self._time = float(self.schedule.times[self._j] + shift + (self.schedule.period if self._j == 0 else 0.0))
         return estimate
 
-    def _early(self, phase: _Phase) -> Array:
+    def _early(self, phase: _UpdatePhase) -> Array:
         """Radii while the start still counts: what is left of it, and the filter's own before the window is full."""
         assert self._passed is not None
         first = np.eye(self._n) - self._system.samples[self._j].K @ self._system.samples[self._j].H
@@ -217,7 +217,7 @@ class PeriodicGains:
         return np.asarray(phase.early + np.array(left))
 
 
-def _phase(search: GainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase:
+def _phase(search: GainSearch, plant: Plant, found: Accuracy, j: int) -> _UpdatePhase:
     system, bounds, n, m = search.system, search.system.bounds, plant.n_states, plant.n_inputs
     sample, before = system.samples[j], system.gaps[j - 1]
     scaled = np.hstack([plant.B, np.zeros((n, 1)) if bounds.w_centre is None else (plant.G @ bounds.w_centre)[:, None]])
@@ -227,7 +227,7 @@ def _phase(search: GainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase:
     made = [search.window(j, search.back, False).gains(column) for column in mu.T]
     parts = [_on_innovations(search, j, column, one) for column, one in zip(mu.T, made, strict=True)]
     shift = np.zeros(len(sample.H)) if bounds.v_centre is None else bounds.v_centre[j, sample.outputs] / sample.size
-    return _Phase(
+    return _UpdatePhase(
         outputs=sample.outputs,
         F=freeze(flow[:, : n + m]),
         C=freeze(np.hstack([plant.C, plant.D])[sample.outputs] / sample.size[:, None]),

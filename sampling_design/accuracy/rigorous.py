@@ -27,7 +27,7 @@ MOST_STEPS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
-class _Panels:
+class _CostatePanels:
     """What turns a costate at the start of a stretch into p = G'e^{A's}g, p'' and e^{A's}g at panel ends.
 
     On a panel the third derivative is at most `third` times |e^{A's}g| at its start.
@@ -81,10 +81,10 @@ class BallSystem:
             _table([[ball(plant.C[i, k]) * D[k] / ball(z) for k in range(n)] for i, z in pairs], n).transpose()
             for pairs in ([*zip(s.outputs, s.size, strict=True)] for s in system.samples)
         ]
-        self._flows: dict[tuple[float, int], tuple[Matrix, _Panels]] = {}
+        self._flows: dict[tuple[float, int], tuple[Matrix, _CostatePanels]] = {}
         self.reach: list[list[Ball]] = []
 
-    def over(self, length: float, count: int) -> tuple[Matrix, _Panels]:
+    def over(self, length: float, count: int) -> tuple[Matrix, _CostatePanels]:
         """(e^{A length})' and its panels."""
         if (length, count) not in self._flows:
             step, square = ball(length) / count, self.A * self.A
@@ -97,11 +97,11 @@ class BallSystem:
                 flows += flow.transpose().tolist()
                 first, second, flow = E * first, E * second, E * flow
             third = (_norm(_entries(square * self.A * self.G)) * (self.size * step).exp()).upper()
-            panels = _Panels(step, count, _table(rows + bends + flows, self.n), third)
+            panels = _CostatePanels(step, count, _table(rows + bends + flows, self.n), third)
             self._flows[length, count] = (self.A * ball(length)).exp().transpose(), panels
         return self._flows[length, count]
 
-    def gap(self, j: int) -> tuple[Matrix, _Panels]:
+    def gap(self, j: int) -> tuple[Matrix, _CostatePanels]:
         """Flow and panels of gap j, as fine as those of the system."""
         gap = self.system.gaps[j]
         return self.over(gap.length, gap.flow.third.size)
@@ -110,7 +110,7 @@ class BallSystem:
         """h_W in units of the bounds."""
         return _norm(entries) if self.system.bounds.w_ball else _total([abs(x) for x in entries])
 
-    def integrals(self, g: Matrix, panels: _Panels) -> tuple[list[Ball], list[Ball]]:
+    def integrals(self, g: Matrix, panels: _CostatePanels) -> tuple[list[Ball], list[Ball]]:
         """Upper bounds on int h_W(G'e^{A's}g) ds up to every panel end, and on sup |p''| per panel."""
         values, n, q, half = _entries(panels.every * g), self.n, self.q, (panels.count + 1) * self.q
         sizes = [self.measure(values[k : k + q]) for k in range(0, half, q or 1)] if q else []

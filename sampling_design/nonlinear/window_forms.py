@@ -124,15 +124,15 @@ class WindowFunctions:
         value = rate(x, w, u, t)
         parts = [value, ca.jacobian(value, both), ca.hessian(ca.dot(weigh, value), both)[0]]
         inside = ca.Function("inside", [x, w, u, t, weigh], [ca.densify(part) for part in parts])
-        self._inside = _Buffered(inside.map(capacity * points.size), capacity * points.size)
+        self._inside = _PaddedMap(inside.map(capacity * points.size), capacity * points.size)
         arguments = [ca.SX.sym(f"a{k}", node.size1_in(k)) for k in range(node.n_in())]
         cost, outputs = node(*arguments)
         bend, gradient = ca.hessian(cost, ca.vertcat(*arguments[:2]))
         parts = [cost, gradient, bend, outputs, ca.jacobian(outputs, arguments[0])]
         at_node = ca.Function("at_node", arguments, [ca.densify(part) for part in parts])
-        self._at_node = _Buffered(at_node.map(capacity + 1), capacity + 1)
+        self._at_node = _PaddedMap(at_node.map(capacity + 1), capacity + 1)
         self.sizes = n, q, node.size1_in(1), node.size1_out(1)
-        self._riccati = _Buffered(_riccati(n + 1, q, capacity + 1), capacity + 1)
+        self._riccati = _PaddedMap(_riccati(n + 1, q, capacity + 1), capacity + 1)
 
     def eliminated(self, over: Array, interval: Array, at: Array) -> tuple[Array, Array]:
         """Minimise over w from the last node to the first: what lies ahead costs at least, and the gains of w.
@@ -203,7 +203,7 @@ def _riccati(one: int, q: int, steps: int) -> Function:
     return found
 
 
-class _Buffered:
+class _PaddedMap:
     """A mapped function of arrays with a row for each of its steps; missing rows repeat the first, in front."""
 
     def __init__(self, function: Function, columns: int) -> None:

@@ -35,7 +35,7 @@ _LONG = float(np.finfo(np.longdouble).eps)
 
 
 @dataclass(frozen=True)
-class _Block:
+class _SpectralBlock:
     """One cluster: mean, remainder N, its columns V and rows W (physical coordinates), weight 2 for a pair."""
 
     mean: complex
@@ -168,7 +168,7 @@ def _cached(n: int, data: bytes) -> ModalFlow:
     return ModalFlow(np.frombuffer(data).reshape(n, n))
 
 
-def _wide(blocks: list[_Block], A: Array) -> list[_Block]:
+def _wide(blocks: list[_SpectralBlock], A: Array) -> list[_SpectralBlock]:
     """Blocks whose polynomial ends before |t||A| = 1e4."""
     near = 0.99 * _FAR / max(float(np.linalg.norm(A)), 1e-300)
     return [block for block in blocks if block.reach < near]
@@ -184,7 +184,7 @@ def _balance(A: Array) -> tuple[Array, Array]:
     return np.asarray(scale), A * scale / scale[:, None]
 
 
-def _modal_blocks(A: Array, scale: Array) -> tuple[list[_Block], float, str]:
+def _modal_blocks(A: Array, scale: Array) -> tuple[list[_SpectralBlock], float, str]:
     """Blocks of a balanced A, the condition of their basis, and a reason where there are none."""
     n = A.shape[0]
     if n == 0:
@@ -278,7 +278,7 @@ def _block_basis(T: Entries, Q: Entries, labels: Integers) -> tuple[Entries | No
 
 def _refined(
     A: Array, scale: Array, V: Entries, sizes: list[int], values: Entries, condition: float
-) -> tuple[list[_Block], float, str]:
+) -> tuple[list[_SpectralBlock], float, str]:
     """The blocks after Newton steps in extended precision, or the reason why these do not end well."""
     ends = np.cumsum([0, *sizes])
     parts = [slice(a, b) for a, b in pairwise(ends)]
@@ -325,7 +325,7 @@ def _decoupling(T: Entries, off: Entries, values: Entries, parts: list[slice], s
     return X.astype(np.clongdouble)
 
 
-def _block(T: Entries, V: Entries, W: Entries, values: Entries, far: float) -> _Block | None:
+def _block(T: Entries, V: Entries, W: Entries, values: Entries, far: float) -> _SpectralBlock | None:
     """One block; None for the lower of two conjugate ones, which the upper one stands for."""
     m = len(T)
     real = np.min(np.abs(values.imag)) == 0 or np.any(np.isin(np.conj(values), values))
@@ -348,7 +348,7 @@ def _block(T: Entries, V: Entries, W: Entries, values: Entries, far: float) -> _
             terms.append((V @ powers[-1] @ W).astype(complex))
     kept, reach = (m, np.inf) if nilpotent else _polynomial(terms, m, spread, far)
     narrow = (N.astype(complex), V.astype(complex), W.astype(complex))
-    return _Block(complex(mean), *narrow, 1.0 if real else 2.0, reach, tuple(terms[:kept]))
+    return _SpectralBlock(complex(mean), *narrow, 1.0 if real else 2.0, reach, tuple(terms[:kept]))
 
 
 def _polynomial(terms: list[Entries], m: int, spread: float, far: float) -> tuple[int, float]:

@@ -177,7 +177,7 @@ class StageProgram:
             late = len(history) > PATIENCE and gap < CLOSE and 2 * gap > history[-1 - PATIENCE]
             if gap <= tolerance or late or (gap <= near and size * (reached + opened) <= enough):
                 break
-            step = _Newton(self, slacks, m, drift, target).step(opened / m.size)
+            step = _NewtonStep(self, slacks, m, drift, target).step(opened / m.size)
             if step is None:
                 break
             (dz, new_p, dt, dm), primal, dual = step
@@ -252,7 +252,7 @@ class StageProgram:
         return dz, p, dt
 
 
-class _Newton:
+class _NewtonStep:
     """One iteration: predictor, corrector, and what brings single products nearer to their mean."""
 
     def __init__(self, program: StageProgram, slacks: Array, m: Array, drift: Array, target: Array):

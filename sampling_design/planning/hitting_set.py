@@ -56,10 +56,10 @@ def smallest_hitting_set(
     size = len(reaching) * covering.problem.steps * covering.columns
     if most < 0 or size > MOST_ENTRIES or any(pool.trajectories[a].response is None for a in reaching):
         return None
-    return _Search(covering, pool, level, below, most, reaching, work).run(undetected_at)
+    return _TreeSearch(covering, pool, level, below, most, reaching, work).run(undetected_at)
 
 
-class _Search:
+class _TreeSearch:
     """The tree, node by node."""
 
     def __init__(

@@ -31,7 +31,7 @@ class ScheduleDetails(TypedDict, total=False):
 
 
 @frozen
-class _Sampled(ListRecord[float]):
+class _ListWithDetails(ListRecord[float]):
     """Details that every schedule may carry besides its times."""
 
     time_unit: str | None = field(default=None, kw_only=True)
@@ -108,7 +108,7 @@ class _Sampled(ListRecord[float]):
 
 
 @frozen
-class Schedule(_Sampled):
+class Schedule(_ListWithDetails):
     """A finite schedule: times t_1 < t_2 < ... < t_N, all >= 0; a list of these times.
 
     Parameters
@@ -196,7 +196,7 @@ class Schedule(_Sampled):
 
 
 @frozen
-class PeriodicSchedule(_Sampled):
+class PeriodicSchedule(_ListWithDetails):
     """An endless schedule that repeats after sum(gaps).
 
     Sample 1 is at `first`; sample i+1 follows sample i by gaps[i] (0-based, so that gaps[i] lies before

@@ -1,7 +1,8 @@
 """Patterns of samples that arrive or do not: bounds of the contraction of a window, over all of them.
 
-Time is cut into steps, in each of which samples arrive or do not, independently (`_Sample`, `_Interval`); patterns of
-steps are followed side by side as classes, and those that differ least become one where they are too many (`_Classes`).
+Time is cut into steps, in each of which samples arrive or do not, independently (`_RandomSample`, `_PoissonStep`);
+patterns of steps are followed side by side as `_PatternClasses`, and those that differ least become one where they are
+too many.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def _rounding(Y: Array) -> Array:
     return np.asarray(8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2))
 
 
-class _Sample(NamedTuple):
+class _RandomSample(NamedTuple):
     """A gap F, W and a sample at its end, which arrives with some probability."""
 
     F: Array
@@ -65,7 +66,7 @@ class _Sample(NamedTuple):
         return _updated_below(propagate(Y, self.F, self.W), self.rows)
 
 
-class _Interval(NamedTuple):
+class _PoissonStep(NamedTuple):
     """A step F, W of a Poisson process: at unknown times within it there arrive samples, with some probability."""
 
     F: Array
@@ -106,14 +107,14 @@ class _Interval(NamedTuple):
         return propagate(updated, self.continuous.F, self.continuous.Q)
 
 
-def planned_steps(problem: WindowProblem, last: int, periods: int, p: float) -> list[_Sample | _Interval]:
+def planned_steps(problem: WindowProblem, last: int, periods: int, p: float) -> list[_RandomSample | _PoissonStep]:
     """The gaps of the window that ends with the sample `last` of a period."""
     order = (last + 1 + np.arange(periods * problem.count)) % problem.count
     F, W = problem.flow(problem.gaps[order])
-    return [_Sample(F[k], W[k], 1 - p, problem.rows[i]) for k, i in enumerate(order)]
+    return [_RandomSample(F[k], W[k], 1 - p, problem.rows[i]) for k, i in enumerate(order)]
 
 
-def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) -> list[_Sample | _Interval]:
+def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) -> list[_RandomSample | _PoissonStep]:
     """Equal steps, each of which sees one arrival or more with the probability 1 - e^{-x}, x = rate h."""
     n, p = problem.size, len(rows)
     A = problem.A + problem.eta / 2 * np.eye(n)
@@ -128,7 +129,7 @@ def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) ->
     (F,), (W,) = problem.flow(h)
     x = rate * h
     if not x:
-        return [_Sample(F, W, 0.0, rows)] * count
+        return [_RandomSample(F, W, 0.0, rows)] * count
     arrives = -float(np.expm1(-x))
     # the flow of (x, z), z the mean of C x over the step: their covariance is what an average reading knows
     big, noise = np.zeros((2, n + p, n + p))
@@ -137,7 +138,7 @@ def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) ->
     at, weights = np.polynomial.legendre.leggauss(NODES)
     flows, gramians = discounted_flow(A, problem.noise, h * (at + 1) / 2)
     mean = np.einsum("g,gij->ij", weights / 2, rows @ gramians @ rows.T)
-    step = _Interval(
+    step = _PoissonStep(
         F=F, W=W, arrives=arrives, joint=(joint[:, :n], spread), share=_mean_inverse(x), weights=weights / 2,
         nodes=rows @ flows, noise=mean, continuous=_filtered(A, problem.noise, rows * np.sqrt(rate / arrives), h),
     )  # fmt: skip
@@ -174,12 +175,14 @@ def _mean_inverse(x: float) -> float:
     return float(np.sum(np.exp(k * np.log(x) - x - gammaln(k + 1)) / k) / -np.expm1(-x))
 
 
-def contraction_bounds(problem: WindowProblem, steps: list[_Sample | _Interval], M: float) -> tuple[Array, Array]:
+def contraction_bounds(
+    problem: WindowProblem, steps: list[_RandomSample | _PoissonStep], M: float
+) -> tuple[Array, Array]:
     """Bounds of P(rho < 1) and of E[rho] of a window."""
     n = problem.size
     if not n:
         return np.ones(2), np.zeros(2)
-    classes = _Classes(np.ones(1), np.ones(1, dtype=np.bool_), np.eye(n)[None], np.eye(n)[None])
+    classes = _PatternClasses(np.ones(1), np.ones(1, dtype=np.bool_), np.eye(n)[None], np.eye(n)[None])
     beyond = 0.0
     for step in steps:
         classes = classes.after(step)
@@ -200,7 +203,7 @@ def contraction_bounds(problem: WindowProblem, steps: list[_Sample | _Interval],
     return probability.clip(0.0, 1.0), factor
 
 
-class _Classes(NamedTuple):
+class _PatternClasses(NamedTuple):
     """Classes of patterns: probability, whether it is one, an upper bound of E[Y], and that of E[1/Y], inverted.
 
     Of one pattern both bounds are the same, but for rounding.
@@ -211,22 +214,22 @@ class _Classes(NamedTuple):
     upper: Array
     lower: Array
 
-    def only(self, which: Mask | Index) -> _Classes:
+    def only(self, which: Mask | Index) -> _PatternClasses:
         """Return the classes of a mask or an index."""
-        return _Classes(self.mass[which], self.single[which], self.upper[which], self.lower[which])
+        return _PatternClasses(self.mass[which], self.single[which], self.upper[which], self.lower[which])
 
-    def after(self, step: _Sample | _Interval) -> _Classes:
+    def after(self, step: _RandomSample | _PoissonStep) -> _PatternClasses:
         """Return twice as many: those to which nothing arrives, and those to which something does."""
         mass = np.concatenate([self.mass * (1 - step.arrives), self.mass * step.arrives])
         idle = [propagate(Y, step.F, step.W) for Y in (self.upper, self.lower)]
         if not step.arrives:
-            return _Classes(self.mass, self.single, *idle)
+            return _PatternClasses(self.mass, self.single, *idle)
         upper = np.concatenate([idle[0], step.upper(self.upper)])
         lower = np.concatenate([idle[1], step.lower(self.lower)])
-        single = np.append(self.single, self.single & isinstance(step, _Sample))
-        return _Classes(mass, single, upper, lower).only(mass > 0)
+        single = np.append(self.single, self.single & isinstance(step, _RandomSample))
+        return _PatternClasses(mass, single, upper, lower).only(mass > 0)
 
-    def joined(self, count: int) -> _Classes:
+    def joined(self, count: int) -> _PatternClasses:
         """Return fewer classes, by at most `count`: of those near each other the pairs whose two means differ least.
 
         The arithmetic mean of Y for E[Y], the harmonic one for E[1/Y]; they differ by ab D (bY + aZ)^-1 D, D = Y - Z.

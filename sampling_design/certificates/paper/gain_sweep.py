@@ -37,7 +37,7 @@ def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) ->
     """
     refuse_undetectable(plant, 0.0)
     n = plant.n_states
-    search = _GainSearch(plant, t_star, variant, cap)
+    search = _HorizonOfGains(plant, t_star, variant, cap)
     starts = [np.r_[np.log(s), np.log(w), np.zeros(2 * (n - 1))] for s in SHIFTS for w in NOISES]
     scores = [search(start) for start in starts]
     best = starts[int(np.argmin(scores))]
@@ -48,7 +48,7 @@ def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) ->
     return detectability_from_proof(plant, gain, Q)
 
 
-class _GainSearch:
+class _HorizonOfGains:
     """The horizon, in units of 1/|A|, as a function of log shift, log noise, log ratios of noise and of Q."""
 
     def __init__(self, plant: Plant, t_star: float, variant: str, cap: float) -> None:

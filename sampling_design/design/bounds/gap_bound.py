@@ -41,7 +41,7 @@ _LEAST_SHARE = 1e-6  # of the mean multiplier, added to each: no gap is without
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class _DistanceGrid:
     """Distances in equal steps, `parts` to a mean gap."""
 
     problem: DesignProblem
@@ -95,16 +95,16 @@ class _Grid:
         return np.asarray((place + 2 >= gaps[:, None] + apart) & (place <= self.per_period - apart + 1))
 
 
-def _grid(problem: DesignProblem) -> _Grid | None:
+def _grid(problem: DesignProblem) -> _DistanceGrid | None:
     """The grid of V; None where gaps do not say all of a schedule, or there are too few or too many."""
-    held = problem.samples * _Grid(problem, 1).periods
+    held = problem.samples * _DistanceGrid(problem, 1).periods
     alike = problem.is_shift_invariant and not problem.is_costly and problem.samples > 1
     if not alike or held > _MOST_SAMPLES or problem.spacing <= _LEAST_SPACING * problem.period:
         return None
-    return _Grid(problem, int(np.clip(round(_KNOTS / held), _LEAST_PARTS, _MOST_PARTS)))
+    return _DistanceGrid(problem, int(np.clip(round(_KNOTS / held), _LEAST_PARTS, _MOST_PARTS)))
 
 
-def _nodes(grid: _Grid) -> Index:
+def _nodes(grid: _DistanceGrid) -> Index:
     """Gaps, in steps, at which Z is given: close about the mean gap, from the least to the widest."""
     (low, high), close = grid.ends, int(grid.parts * _CLOSE)
     near = np.arange(grid.parts - close, grid.parts + close + 1)
@@ -121,7 +121,7 @@ def _between(nodes: Index, gaps: Index) -> Array:
     return np.stack([np.interp(gaps, nodes, row) for row in np.eye(nodes.size)], axis=1)
 
 
-def _rows(grid: _Grid, Z: Array) -> Array:
+def _rows(grid: _DistanceGrid, Z: Array) -> Array:
     """Rows y, yA, yAA, yAAA (4, count, 2, p, n) at both ends of each step.
 
     Early and late samples go where Z sees least of them in the middle of the step.
@@ -152,7 +152,7 @@ def relax_gaps(problem: DesignProblem, sigma: float, seconds: float | None = Non
     grid = _grid(problem)
     if grid is None or problem.plant.n_states > _MOST_STATES or growth_rate(problem) > 0 or not sigma > 0:
         return None
-    program = _Program(grid, _nodes(grid), sigma**2 * problem.rows.unit)
+    program = _DualProgram(grid, _nodes(grid), sigma**2 * problem.rows.unit)
     found = conic_programs.solve_cone_program(*program.posed(), tolerance=_TOLERANCE, budget=seconds, refined=False)
     Z, V = program.taken_from(np.nan_to_num(found.x))
     if not float(np.trace(Z, axis1=1, axis2=2).sum()) > 0:
@@ -161,13 +161,13 @@ def relax_gaps(problem: DesignProblem, sigma: float, seconds: float | None = Non
 
 
 @dataclass(frozen=True, eq=False)
-class _Program:
+class _DualProgram:
     """The inequalities at the knots: unknown are Z at the nodes, V at the knots, b at the gaps, and what is missed.
 
     Least e with aim tr Z(g) + e share(g) >= n(g) and aim tr Z(g) >= share(g), so that n(g) <= (1 + e) aim tr Z(g).
     """
 
-    grid: _Grid
+    grid: _DistanceGrid
     nodes: Index
     aim: float
 
@@ -259,14 +259,14 @@ def gap_bound(problem: DesignProblem, gaps: Array, Z: Array, potential: Array, t
     known = 0 < parts <= _MOST_PARTS and gaps.size > 1  # a file's own grid may be too fine to be judged
     if not known or np.any(traces <= problem.rows.rounding):
         return np.inf
-    coarse = _Grid(problem, parts)
+    coarse = _DistanceGrid(problem, parts)
     nodes = np.rint(gaps / coarse.width)
     on = np.all(np.abs(gaps / coarse.width - nodes) <= 1e-9 * size) and np.all(np.diff(nodes) > 0)
     low, high = coarse.ends
     if not on or size != coarse.count or not 0 <= nodes[0] <= low or not high <= nodes[-1] <= size:
         return np.inf
     times = max(1, round(_FINE / size))
-    grid = _Grid(problem, parts * times)
+    grid = _DistanceGrid(problem, parts * times)
     at = np.arange(max(grid.ends[0], int(nodes[0]) * times), min(grid.ends[1], int(nodes[-1]) * times) + 1)
     weights = _between(nodes.astype(np.intp) * times, at)
     V = np.interp(np.arange(grid.count + 1), np.arange(size + 1) * times, [0.0, *potential[:-1], 0.0])
@@ -277,7 +277,7 @@ def gap_bound(problem: DesignProblem, gaps: Array, Z: Array, potential: Array, t
         return rooted(problem, float(np.max((top + added) / (weights @ (traces - problem.rows.rounding)))))
 
 
-def _forms(grid: _Grid, weights: Array, Z: Array) -> tuple[Array, Array]:
+def _forms(grid: _DistanceGrid, weights: Array, Z: Array) -> tuple[Array, Array]:
     """<Z(g), G(r)> (gaps, count, 2) at both ends of each step of r, and (gaps, count) what is left beside each.
 
     Between gaps and ends F = <Z(g), G(r)> is above what is linear by at most h^2/8 (-F_rr + 2 |F_gr|), h the step.
@@ -306,7 +306,7 @@ def _forms(grid: _Grid, weights: Array, Z: Array) -> tuple[Array, Array]:
     return values * grid.in_window[:, None], beside
 
 
-def _most(grid: _Grid, at: Index, values: Array, rest: Array, V: Array) -> Array:
+def _most(grid: _DistanceGrid, at: Index, values: Array, rest: Array, V: Array) -> Array:
     """n(g) at the gaps `at`; between them it lies below what is linear."""
     ends = np.stack([np.arange(grid.count), np.arange(1, grid.count + 1)], axis=1)
     before = V[np.maximum(ends - at[:, None, None], 0)]  # V is 0 below 0

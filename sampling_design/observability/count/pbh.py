@@ -139,7 +139,7 @@ def unobservable_modes(
     vectors: list[Complex] = []
     margin = np.inf
     form, grouped = _grouped(plant)
-    pair = _Pair(plant, form)
+    pair = _BalancedPair(plant, form)
     known: dict[complex, tuple[list[Complex], float]] = {}
     for cluster, group in grouped:
         if offset is not None and cluster.value.real < -offset - 1e-8 * form.speed:
@@ -166,7 +166,7 @@ def _grouped(plant: Plant) -> tuple[SchurForm, list[tuple[EigenvalueCluster, lis
     return form, list(zip(clusters, places, strict=True))
 
 
-class _Pair:
+class _BalancedPair:
     """A and C in balanced coordinates x = diag(d) z."""
 
     def __init__(self, plant: Plant, form: SchurForm) -> None:

@@ -206,7 +206,7 @@ class _SphereSearch:
         if not cells.face.size:
             return cells
         self.cells += cells.face.size
-        work = _Batch(self, cells)
+        work = _CornerBounds(self, cells)
         bound = np.maximum(cells.bound, np.minimum(work.bound, self.wanted))
         cells = cells._replace(bound=bound)
         shut = work.bound >= self.wanted
@@ -240,7 +240,7 @@ class _SphereSearch:
         half[:, :many] = np.where(cut, (high - low) / 2, half[:, :many])
         return cells._replace(centre=centre, half=half).take(kept)
 
-    def _improve(self, work: _Batch) -> None:
+    def _improve(self, work: _CornerBounds) -> None:
         """Follow a centre whose best schedule on the grid already beats the attained one."""
         value, start = work.centre()
         i = int(np.argmin(value))
@@ -326,7 +326,7 @@ class _WideStretch(NamedTuple):
         return [part.take(np.all(part.first <= part.last, axis=1)) for part in parts]
 
 
-class _Batch:
+class _CornerBounds:
     """Bounds at the corners of a batch of cells on one grid.
 
     Of samples, points, cells and corners the corners come last, (k, W, B, c), and every step is one over many of them.
@@ -412,9 +412,9 @@ class _Batch:
         found += centre[..., None]
         return np.asarray(found)
 
-    def take(self, index: Mask) -> _Batch:
+    def take(self, index: Mask) -> _CornerBounds:
         """The same for some of the cells."""
-        part = object.__new__(_Batch)
+        part = object.__new__(_CornerBounds)
         part.__dict__.update(self.__dict__)
         for name, axis in _PER_CELL.items():
             setattr(part, name, np.compress(index, getattr(self, name), axis=axis))

@@ -152,7 +152,7 @@ def accuracy_along(
     refuse_others("of a plant that varies", **others)
     rtol = checks.positive("rtol", RTOL if rtol is None else rtol)
     given = Budget(None if budget is None else checks.positive("budget", budget))
-    problem = _ScaledProblem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
+    problem = _VaryingProblem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
     lower, upper = (np.zeros((len(problem.rows), len(problem.looked))) for _ in range(2))
     for k, (gap, part, taken) in enumerate(problem.looked):
         for i, row in enumerate(problem.rows.matrix):
@@ -193,7 +193,7 @@ def _known_from(times: Array, upper: Array) -> float:
     return float(times[first]) if first < times.size else np.inf
 
 
-class _ScaledProblem:
+class _VaryingProblem:
     """Everything along one schedule, in scaled states."""
 
     def __init__(
@@ -258,7 +258,7 @@ class _ScaledProblem:
 class _CellProgram:
     """Transitions of one number of cells, and the adversary's program on them."""
 
-    def __init__(self, problem: _ScaledProblem, cells: int) -> None:
+    def __init__(self, problem: _VaryingProblem, cells: int) -> None:
         self.problem, plant, nodes = problem, problem.plant, problem.nodes
         steps = [np.linspace(a, b, 2 * cells + 1)[:-1] for a, b in pairwise(nodes.tolist())]
         grid = np.concatenate([*steps, nodes[-1:]])

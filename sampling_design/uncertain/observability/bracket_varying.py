@@ -49,7 +49,7 @@ EPS = float(np.finfo(float).eps)
 MOVED = 1 + 1e-9  # covers the rounding of a few operations
 
 
-class _Node(NamedTuple):
+class _EvaluatedStart(NamedTuple):
     """A window start: its rows, how far they may be off, sigma, and how far that may be off."""
 
     at: float
@@ -83,7 +83,7 @@ class VaryingSearch:
         room = 8 * EPS * len(stack[0]) * float(np.abs(values).max(initial=0.0))
         return float(values[:, -1].max()) + room, float(-values[:, 0].min()) + room
 
-    def last(self, g: int) -> _Node:
+    def last(self, g: int) -> _EvaluatedStart:
         """The node at the right end of a piece."""
         start, samples = float(self.pieces.right[g]), self.pieces.samples(g)
         n, mask = self.plant.n_states, self.pieces.measured(g)
@@ -143,7 +143,7 @@ class VaryingSearch:
         off = max(float(np.linalg.norm(self.outputs(at)[keep] - C, 2)) for at in self.outputs.knots(*ends))
         return (float(np.linalg.norm(C, 2)) * float(np.expm1(grown)) + off * float(np.exp(grown))) * MOVED
 
-    def before(self, node: _Node, s: float) -> _Node:
+    def before(self, node: _EvaluatedStart, s: float) -> _EvaluatedStart:
         """The node at an earlier start of the same piece."""
         transitions = self.flows((s, node.at))
         F, own, whole = transitions.F[0], float(transitions.errors[0]), float(np.linalg.norm(node.rows))
@@ -151,12 +151,12 @@ class VaryingSearch:
         off = node.wrong * (size + own) + whole * (own + 2 * F.size * EPS * size)
         return self._node(s, node.rows @ F, off)
 
-    def _node(self, at: float, rows: Array, off: float) -> _Node:
+    def _node(self, at: float, rows: Array, off: float) -> _EvaluatedStart:
         n = self.plant.n_states
         sigma = float(np.linalg.svd(rows, compute_uv=False)[-1]) if len(rows) >= n else 0.0
-        return _Node(at, rows, off, off + 8 * n * EPS * float(np.linalg.norm(rows)), sigma)
+        return _EvaluatedStart(at, rows, off, off + 8 * n * EPS * float(np.linalg.norm(rows)), sigma)
 
-    def least(self, a: _Node, b: _Node) -> float:
+    def least(self, a: _EvaluatedStart, b: _EvaluatedStart) -> float:
         """A bound from below of sigma between two neighbours."""
         with np.errstate(divide="ignore"):
             low, high = (float(np.log(max(node.sigma - node.off, 0.0))) for node in (a, b))
@@ -221,7 +221,7 @@ def bracket_varying(
     return _bracket(search, nodes, g, best, floors, status)
 
 
-def _first(search: VaryingSearch, g: int) -> list[_Node]:
+def _first(search: VaryingSearch, g: int) -> list[_EvaluatedStart]:
     """Nodes of a piece to begin with, in order."""
     own = [search.last(g)]
     for s in np.linspace(search.pieces.left[g], search.pieces.right[g], FIRST)[-2::-1].tolist():
@@ -231,7 +231,7 @@ def _first(search: VaryingSearch, g: int) -> list[_Node]:
 
 
 def _bracket(
-    search: VaryingSearch, nodes: list[list[_Node]], g: int, best: _Node, floors: Array, status: str
+    search: VaryingSearch, nodes: list[list[_EvaluatedStart]], g: int, best: _EvaluatedStart, floors: Array, status: str
 ) -> WindowBracket:
     """What was found, as the search of a plant that does not vary tells it."""
     pieces, n = search.pieces, best.rows.shape[1]

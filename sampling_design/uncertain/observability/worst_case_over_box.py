@@ -151,7 +151,7 @@ def worst_case_over_box(
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
-        return _record(model, family, tolerance, "no states", 0, np.inf, _Worst(np.inf, model.start, np.zeros(0)))
+        return _record(model, family, tolerance, "no states", 0, np.inf, _LeastSigma(np.inf, model.start, np.zeros(0)))
 
     clock = Budget(seconds)
 
@@ -190,7 +190,7 @@ def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, late: Timi
     return worst_case_over_box(plant, family, rtol, seconds, timing_tolerance=late.plain).lower
 
 
-class _Worst(NamedTuple):
+class _LeastSigma(NamedTuple):
     """The least sigma met, its plant, and when samples are planned and read."""
 
     sigma: float
@@ -211,7 +211,7 @@ def _searched(
     """The bracket; `settled` takes the cells that were proven."""
     known = dict[tuple[float, ...], tuple[float, float]]()
     wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
-    best = _Worst(np.inf, model.start, np.zeros(family.count))
+    best = _LeastSigma(np.inf, model.start, np.zeros(family.count))
 
     def judged(cell: BoxCells) -> tuple[Array, Array] | None:
         nonlocal best
@@ -226,7 +226,7 @@ def _searched(
                 # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
                 known[tuple(u.tolist())] = max(found.lower, inner / (UP * float(model.unit.max()))), inner
                 if search.attain(np.array([found.upper])).size:
-                    best = _Worst(found.upper, u, found.witness, found.readings)
+                    best = _LeastSigma(found.upper, u, found.witness, found.readings)
             if best.sigma == 0:
                 return None
         least, inner = np.min([known[tuple(u.tolist())] for u in points], axis=0).tolist()
@@ -253,7 +253,7 @@ def _record(
     status: str,
     judged: int,
     lower: float,
-    best: _Worst,
+    best: _LeastSigma,
 ) -> WorstCaseOverBox:
     return WorstCaseOverBox(
         lower=min(lower, best.sigma), upper=best.sigma, worst=model.values(best.u), witness=best.witness, status=status,

@@ -31,7 +31,6 @@ from sampling_design.cli.options import (
 from sampling_design.cli.settings import Settings, record_table
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import positive, whole
-from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sensor import Sensor
 
 
@@ -59,7 +58,7 @@ class TimeOptions:
 ON_TIME = TimeOptions()
 BY_COUNT = "sampling-design/accuracy-by-count/1"  # the format of its JSON
 ScheduleOrCounts = Annotated[
-    Path | None, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none with --samples.")
+    Path | None, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none with --samples or a plan.")
 ]
 WantedError = Annotated[
     str | None, typer.Option("--tolerance", help="Wanted error of each row, one number or with commas between.")
@@ -109,7 +108,8 @@ def accuracy(
         )
         _finish_counts(settings, times, idle, by_count)
         return
-    schedule = _schedule(settings, plant, schedule_file)
+    otherwise = ", or --samples 0,4,8 --period 7 for evenly spaced ones"
+    schedule = files.schedule_for(settings, plant, files.schedule_path(plant_file, schedule_file, otherwise))
     pair = _pair(projection)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy") as progress:
@@ -122,15 +122,6 @@ def accuracy(
         )  # fmt: skip
         cast = None if pair is None else found.projection(*pair)
     _finish(settings, found, cast, wanted)
-
-
-def _schedule(settings: Settings, plant: sd.Plant, path: Path | None) -> AnySchedule:
-    """The schedule of a file, which must be given."""
-    if path is None:
-        raise ArgumentError(
-            "`SCHEDULE` is missing: give its file, or --samples 0,4,8 --period 7 for evenly spaced ones."
-        )
-    return files.schedule_for(settings, plant, path)
 
 
 def _finish_counts(

@@ -90,6 +90,18 @@ def schedule(path: Path) -> AnySchedule:
     return _read("schedule", sd.read_schedule, path) if whole is None else whole.schedule
 
 
+def schedule_path(plant_file: Path, given: Path | None, otherwise: str = "") -> Path:
+    """The file of a command's schedule: the one that was given, or the plan that stands for PLANT.
+
+    Raises ArgumentError if there is neither; `otherwise` says what else would do.
+    """
+    if given is not None:
+        return given
+    if plan_in(plant_file) is not None:
+        return plant_file
+    raise ArgumentError(f"`SCHEDULE` is missing: give its file, or a plan (plan.json) for PLANT{otherwise}.")
+
+
 def schedule_for(settings: Settings, plant: Plant, path: Path) -> AnySchedule:
     """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
     found = schedule(path)

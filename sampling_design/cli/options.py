@@ -29,7 +29,10 @@ PlantFile = Annotated[
         help="Plant file: .toml, .json, .mat or .npz; or the name of a plant of the library, as oscillator.",
     ),
 ]
-ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
+ScheduleFile = Annotated[
+    Path | None,
+    typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none where PLANT is a plan (plan.json)."),
+]
 RequirementFile = Annotated[
     Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
 ]

@@ -78,7 +78,8 @@ def plan(
         file = folder / "plan.json"
         first = " --initial-error ERROR" if result.error_bounds["initial_error"] is None else ""
         tables += [
-            f"Next: sampling-design next {file}",
+            f"Next: sampling-design next {file} [MEASUREMENTS.csv]",
+            f"Next: sampling-design compare {file} MEASUREMENTS.csv",
             f"Next: sampling-design estimate {file} MEASUREMENTS.csv{first} -o {folder}",
         ]
     settings.show(result.to_dict(), *tables)
@@ -101,7 +102,10 @@ def next_sample(
         typer.Option(metavar="'SENSOR DATE'", help="A sample that was taken and whose result is not in; repeat it."),
     ] = None,
 ) -> None:
-    """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
+    """Say when the next sample must be taken at the latest, so that every tolerance is kept, now and afterwards.
+
+    "By" a time: any earlier one will do, too. "At" a time, where it is later than the plan's own next sample or samples
+    must be spaced: that very time is proven, and an earlier one is not.
 
     Where one cannot be kept (exit code 1): since when, what is known now, and which sample brings it back soonest. So
     it is before the first samples of a plan, unless its requirement says what is known then (`initial_error`).

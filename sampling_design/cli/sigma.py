@@ -36,7 +36,7 @@ RigorousBound = Annotated[bool, typer.Option("--rigorous", help="Prove the lower
 def sigma(
     settings: Settings,
     plant_file: PlantFile,
-    schedule_file: ScheduleFile,
+    schedule_file: ScheduleFile = None,
     window: Window = None,
     rigorous: RigorousBound = False,
     timing_tolerance: TimingOption = None,
@@ -46,7 +46,7 @@ def sigma(
     Example: sampling-design sigma examples/plants/oscillator.toml out/schedule.csv --window 6.28
     """
     plant = settings.part(files.plant(plant_file))
-    schedule = files.schedule_for(settings, plant, schedule_file)
+    schedule = files.schedule_for(settings, plant, files.schedule_path(plant_file, schedule_file))
     split = split_needed(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:
         settings.finish_early({"sigma": None, "split": split.to_dict()}, "sigma", split.explain())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +16,6 @@ from sampling_design.cli.options import (
     BoundOptions,
     CertificateFile,
     Eta,
-    MeasurementFile,
     PlantFile,
     ScheduleFile,
     Scheduler,
@@ -25,6 +25,7 @@ from sampling_design.cli.options import (
 )
 from sampling_design.cli.settings import Settings, table
 from sampling_design.cli.sigma import window_length
+from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import below
@@ -34,7 +35,7 @@ from sampling_design.records.units import time_factor
 def validate(
     settings: Settings,
     plant_file: PlantFile,
-    schedule_file: ScheduleFile,
+    schedule_file: ScheduleFile = None,
     certificate_file: CertificateFile = None,
     runs: Annotated[int, typer.Option(help="Random trials.")] = 200,
     duration: Annotated[float | None, typer.Option(help="Length of a trial [plant's time unit].")] = None,
@@ -45,13 +46,14 @@ def validate(
 ) -> None:
     """Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).
 
-    Exit code 1 if a promise is broken. A plan (plan.json) for SCHEDULE brings its bounds. With -o DIR: report.md,
+    Exit code 1 if a promise is broken. A plan (plan.json) for PLANT or SCHEDULE brings its bounds. With -o DIR: report.md,
     report.json and validation.png; an interrupted one is taken up again where it was.
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
     full = files.plant(plant_file)
     plant = settings.part(full)
+    schedule_file = files.schedule_path(plant_file, schedule_file)
     schedule = files.schedule_for(settings, plant, schedule_file)
     bounds = known_bounds(settings, plant, full, typed.of(plant), files.plan_in(schedule_file))
     if certificate_file is not None:
@@ -87,17 +89,26 @@ def validate(
 def compare(
     settings: Settings,
     plant_file: PlantFile,
-    schedule_file: ScheduleFile,
-    measurement_file: MeasurementFile,
+    schedule_file: Annotated[
+        Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none where PLANT is a plan.")
+    ],
+    measurement_file: Annotated[
+        Path | None, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")
+    ] = None,
     window: Window = None,
 ) -> None:
     """Compare planned with actual sample times: what came late, what was missed, and what that costs.
 
-    With -o DIR: compare.json and compare.png.
+    A plan (plan.json) stands for both PLANT and SCHEDULE: `compare plan.json measured.csv`. With -o DIR: compare.json
+    and compare.png.
 
     Example: sampling-design compare examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv -o out
     """  # noqa: E501
     plant = settings.part(files.plant(plant_file))
+    if measurement_file is None:  # two files: what stands second was read, and the first is a plan
+        if files.plan_in(plant_file) is None:
+            raise ArgumentError("`MEASUREMENTS` is missing: give it last, after PLANT and SCHEDULE or after a plan.")
+        schedule_file, measurement_file = plant_file, schedule_file
     schedule = files.schedule_for(settings, plant, schedule_file)
     record = files.measurements(settings, measurement_file, plant, schedule.origin)
     files.check_origins(record, schedule)

@@ -116,10 +116,15 @@ class ScheduleLog(TableRecord):
 
     _answers = (
         "{actual.__len__} samples that were taken, against {planned.__len__} that were planned",
-        "proven: sigma of both, over every window; the times are as they were measured",
+        "{_evidence}",
         "{_share}",
         "`window_sigma` of `.actual`",
     )
+
+    def _evidence(self) -> str:
+        both = self.planned_sigma is not None and self.actual_sigma is not None
+        said = "proven: sigma of both, over every window" if both else "nothing is claimed"
+        return f"{said}; the times are as they were measured"
 
     def _share(self) -> str:
         return "no sigma is compared" if self.kept is None else f"{below(100 * self.kept, 3)} % of the planned sigma"

@@ -83,3 +83,13 @@ def test_no_command_was_forgotten():
     from sampling_design.cli import app
 
     assert set(app.COMMANDS) == {*COMMANDS, "thyroid", "new", "explore"}  # looked at in files of their own
+
+
+@pytest.mark.parametrize("command", ["sigma", "accuracy --w 0.1 --v 0.1", "validate --runs 1"])
+def test_a_plan_stands_for_plant_and_schedule(shell, folder, command):
+    name, *flags = command.split()
+    one, two = (shell(name, *["plan.json"] * count, *flags, "--json") for count in (1, 2))
+    assert (one.code, one.out) == (two.code, two.out)
+    missing = shell(name, "tank.toml", *flags)
+    assert missing.code == 2
+    assert "`SCHEDULE` is missing: give its file, or a plan (plan.json) for PLANT" in missing.err

@@ -269,3 +269,9 @@ def test_samples_on_the_dates_of_a_plan_are_on_time_after_a_change_of_clocks(she
         assert found["deviations"][: len(local)] == [0.0] * len(local)
     said = shell("compare", folder / "plan.json", folder / "dates.csv", tmp_path / "filled.csv").out
     assert "1 at 2026-12-01 12:00+01:00" in said
+    assert "nothing is claimed; the times" in said  # every mode decays
+    alone, twice = (shell("compare", *[folder / "plan.json"] * k, tmp_path / "filled.csv") for k in (1, 2))
+    assert (alone.code, alone.out) == (0, twice.out)
+    missing = shell("compare", folder / "plant.toml", folder / "dates.csv")
+    assert missing.code == 2
+    assert "`MEASUREMENTS` is missing: give it last, after PLANT and SCHEDULE or after a plan." in missing.err

@@ -46,8 +46,8 @@ def validate(
 ) -> None:
     """Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).
 
-    Exit code 1 if a promise is broken. A plan (plan.json) for PLANT or SCHEDULE brings its bounds. With -o DIR: report.md,
-    report.json and validation.png; an interrupted one is taken up again where it was.
+    Exit code 1 if a promise is broken. A plan (plan.json) for PLANT or SCHEDULE brings its bounds. With -o DIR:
+    report.md, report.json and validation.png; an interrupted one is taken up again where it was.
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """

@@ -16,7 +16,8 @@ from sampling_design.errors import MathematicsError, SolverError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator, GuaranteeWarning, estimate_from
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.records.measurements import Measurements
+from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series
+from sampling_design.estimators.records.measurements import Measurements, read_measurements
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -108,7 +109,7 @@ class RecordEstimator(NamedTuple):
 @checked
 def estimator_for(
     plant: Plant,
-    record: Measurements,
+    record: Measurements | LazyFrame | DataFrame | Series | Dataset,
     certificate: SampledCertificate | None = None,
     *,
     schedule: AnySchedule | None = None,
@@ -129,7 +130,8 @@ def estimator_for(
     Parameters
     ----------
     plant : Plant
-    record : Measurements
+    record : Measurements, DataFrame, Series or Dataset
+        A frame is read by `read_measurements`, which also takes an origin and a zone.
     certificate : Certificate or FamilyCertificate, optional
     schedule : Schedule or PeriodicSchedule, optional
         Certified with weights that follow the bounds.
@@ -157,6 +159,8 @@ def estimator_for(
     ------
     ArgumentError
         If an argument has the wrong shape or sign.
+    FileFormatError
+        If `record` is a frame that holds no measurements of this plant.
 
     Examples
     --------
@@ -166,7 +170,12 @@ def estimator_for(
     >>> chosen.guarantee
     'The guarantee is for all schedules with gaps from 0.6 to 0.8 s.'
     """
-    plant, ordered, used = part_for(plant, of), record.in_order(), dict[str, str]()
+    plant, used = part_for(plant, of), dict[str, str]()
+    match record:
+        case Measurements():
+            ordered = record.in_order()
+        case frame:
+            ordered = read_measurements(frame, plant).in_order()
     scales = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
     given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
     for name, signals in scales.items():

@@ -52,6 +52,14 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
 
     Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
+    return date_in(name, value, UTC if zone is None else time_zone(zone))
+
+
+def date_in(name: str, value: str | datetime, place: tzinfo) -> datetime:
+    """Return an ISO 8601 date with its offset; naive means by the clocks of `place`.
+
+    Raises ArgumentError if it is no such date, or these clocks skip or repeat it.
+    """
     date = None
     try:
         date = value if isinstance(value, datetime) else zoned_date(value)
@@ -62,11 +70,10 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     if date is None or date != date:  # pandas counts its missing date among dates
         came = repr(value)[:60] if is_text(value) else checks.described(value)
         raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {came}.")
-    if date.tzinfo is not None or zone is None:
-        return date.replace(tzinfo=UTC) if date.tzinfo is None else date
-    place = time_zone(zone)
+    if date.tzinfo is not None:
+        return date
     if not unambiguous(date, place):
-        raise ArgumentError(f"`{name}` = {value} is skipped or repeated by the clocks of {zone}: give its offset.")
+        raise ArgumentError(f"`{name}` = {value} is skipped or repeated by the clocks of {place}: give its offset.")
     return date.replace(tzinfo=place)
 
 

@@ -122,6 +122,8 @@ class Schedule(_ListWithDetails):
     origin : str, optional
         Calendar date (ISO 8601) of time 0.
     output_names : sequence of str, optional
+    assumed_zone : str
+        Zone in which `import_time_stamps` read dates without one; "" where there were none.
 
     Raises
     ------
@@ -138,6 +140,7 @@ class Schedule(_ListWithDetails):
     _reader: ClassVar[str] = "read_schedule"
     times: Converted[npt.ArrayLike, Array]
     outputs: Converted[npt.ArrayLike | None, Mask | None] = None  # type: ignore[assignment]
+    assumed_zone: str = field(default="", kw_only=True)
 
     endless: ClassVar[Literal[False]] = False
     _table = {"samples": "{__len__}", "times": "{_moments}", "time unit": "{time_unit:or -}"}
@@ -163,6 +166,11 @@ class Schedule(_ListWithDetails):
 
     def _entries(self) -> Sequence[float]:
         return [float(t) for t in self.times]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        origin = [("origin", self.origin)] if self.origin else []
+        assumed = [("dates without a zone", f"read in {self.assumed_zone}")] if self.assumed_zone else []
+        return [*super()._rows(), *origin, *assumed]
 
     def __len__(self) -> int:
         return self.times.size

@@ -43,11 +43,21 @@ def test_semicolons_and_dates(tmp_path):
     assert record.censored[1][0] == CensoredReading(1, 3.1, 3.1, 0.0)
 
 
+@pytest.mark.parametrize("first", ["1", '"1"'])  # at once, and cell by cell
+@pytest.mark.parametrize("cell", ["<=0.5", "≤ 0.5", ">=8", "≥8"])
+def test_a_limit_with_its_end_is_the_limit(tmp_path, cell, first):
+    ends = (-np.inf, 0.5) if cell[0] in "<≤" else (8.0, np.inf)
+    path = tmp_path / "readings.csv"
+    path.write_text(f"time,blood,urine,dose\n1,{first},,0\n2,{cell},,0\n")
+    assert sd.read_measurements(path, TANK).censored[1] == (CensoredReading(0, *ends, None),)
+
+
 @pytest.mark.parametrize(
     ("cells", "match"),
     [
         ("24,<,,,0", "blood in line 2 is not a number: ''"),
         ("24,<<1,,,0", "blood in line 2 is not a number: '<1'"),
+        ("24,≤=1,,,0", "blood in line 2 is not a number: '=1'"),
         ("24,<nan,,,0", "blood in line 2 is not a number: 'nan'"),
         ("24,1,,3,0", "urine_since in line 2 has no urine beside it. Leave both cells empty."),
         ("24,1,2,24,0", "line 2 begins a composite sample at '24', which is not before its end"),

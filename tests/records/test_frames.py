@@ -26,6 +26,7 @@ from sampling_design.certificates.compare.robustness import FamilyTrial, Robustn
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.information import information_curve
 from sampling_design.errors import ArgumentError, CallError, FileFormatError, MissingExtraError
+from sampling_design.estimators import estimator_for
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.records.record import CurveRecord, ListRecord, Record, TableRecord
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -404,6 +405,11 @@ def test_a_dataset_and_a_lazy_frame_are_the_frames_that_they_turn_into():
     for given in (dataset, dataset["gauge"], Lazy(frame)):
         np.testing.assert_array_equal(sd.read_measurements(given, TANK).y, [[1.0]])
         assert sd.MovingHorizonEstimator(TANK, horizon=3.0).run(given).times.tolist() == [0.5]
+        assert estimator_for(TANK, given, horizon=3.0).estimator.run(given).times.tolist() == [0.5]
+    with pytest.raises(FileFormatError, match="the frame: column 'gauge' is missing"):
+        estimator_for(TANK, frame.drop(columns="gauge"))
+    with pytest.raises(ArgumentError, match="`record` must be"):
+        estimator_for(TANK, [(0.5, [1.0])])
 
 
 def test_a_stamp_that_is_missing_is_said_to_be_missing():

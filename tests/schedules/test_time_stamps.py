@@ -5,6 +5,8 @@ import pytest
 
 from sampling_design import ArgumentError
 from sampling_design.errors import FileFormatError
+from sampling_design.estimators import read_measurements
+from sampling_design.plants import Plant
 from sampling_design.records.dates import parse_date
 from sampling_design.schedules.time_stamps import import_time_stamps
 
@@ -24,6 +26,42 @@ def test_dates_are_counted_from_the_first_naive_means_utc(table):
     assert schedule.times.tolist() == [0.0, 1.5]
     assert schedule.origin == "2026-01-05T08:00:00+00:00"
     assert schedule.time_unit == "h"
+    assert schedule.assumed_zone == "UTC"
+    assert "dates without a zone  read in UTC" in str(schedule)
+
+
+@pytest.mark.parametrize(
+    ("origin", "zone", "hours", "assumed"),
+    [
+        (None, "Europe/Berlin", [0.0, 23.0, 23.5], "Europe/Berlin"),  # clocks go forward in between
+        (None, None, [0.0, 24.0, 24.5], "UTC"),
+        ("2026-03-28T00:00+01:00", None, [12.0, 36.0, 36.5], "UTC+01:00"),
+        ("2026-03-28[Europe/Berlin]", None, [12.0, 35.0, 35.5], "Europe/Berlin"),
+        ("2026-03-28", "Europe/Berlin", [12.0, 35.0, 35.5], "Europe/Berlin"),
+    ],
+)
+def test_dates_without_a_zone_are_read_as_measurements_read_them_and_the_record_says_where(
+    table, origin, zone, hours, assumed
+):
+    path = table("date,y\n2026-03-28T12:00,1\n2026-03-29T12:00,2\n2026-03-29T12:30,2\n")
+    plant = Plant([[0.0]], [[1.0]], time_unit="h", outputs=["y"])
+    measured = read_measurements(path, plant, origin=origin, zone=zone)
+    for found in (import_time_stamps(path, "h", origin, zone=zone), measured):
+        assert found.times.tolist() == hours
+        assert found.assumed_zone == assumed
+        assert f"read in {assumed}" in str(found)
+    zoned = table("date,y\n2026-03-28T12:00+01:00,1\n")
+    assert import_time_stamps(zoned, "h", zone=zone).assumed_zone == ""
+
+
+def test_a_date_that_clocks_skip_is_refused_with_its_line(table):
+    path = table("date\n2026-03-29T01:30\n2026-03-29T02:30\n")
+    with pytest.raises(
+        FileFormatError, match=r"line 3: `date` = .* is skipped or repeated by the clocks of Europe/Berlin"
+    ):
+        import_time_stamps(path, "h", zone="Europe/Berlin")
+    with pytest.raises(ArgumentError, match="Did you mean 'Europe/Berlin'"):
+        import_time_stamps(path, "h", zone="Berlin")
 
 
 def test_offsets_are_honoured(table):

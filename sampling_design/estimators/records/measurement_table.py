@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
 from itertools import chain, islice
 from typing import Protocol, runtime_checkable
@@ -26,6 +26,7 @@ Numbered = tuple[int, str]
 STAMPS = ("time", "date")  # names of the column that says when a row was measured
 SINCE = "_since"  # ending of the column that says where a composite sample of an output began
 UNTIL = "_until"  # ending of the column that says until when a row may have been measured
+LIMITS = {"<": "<", "≤": "<", ">": ">", "≥": ">"}  # signs before a limit of detection, and what they say
 BLOCK = 4096  # lines that are held as text at a time; what they say is held as numbers
 LONGEST_LINE = 100_000  # Characters; a longer line is read by itself, where a cell beyond all measure is refused
 
@@ -221,8 +222,11 @@ class MeasurementTable:
 
     def _output(self, i: int, cells: tuple[str, ...], censored: dict[int, list[CensoredReading]]) -> Array | None:
         """The numbers of an output, NaN beyond a limit of detection, which joins `censored` by its row; else None."""
-        limits = {row: cell[0] for row, cell in enumerate(map(str.strip, cells)) if cell[:1] in ("<", ">")}
-        numbers = self._column(tuple(cell.strip().removeprefix(limits.get(row, "")) for row, cell in enumerate(cells)))
+        limits, plain = dict[int, str](), [cell.strip() for cell in cells]
+        for row, cell in enumerate(plain):
+            if cell[:1] in LIMITS:
+                limits[row], plain[row] = _limit(cell)
+        numbers = self._column(plain)
         if numbers is None or not limits:
             return numbers
         values = numbers[list(limits)].tolist()
@@ -246,15 +250,15 @@ class MeasurementTable:
         except FileFormatError:
             return None  # said again with its line
 
-    def _column(self, cells: tuple[str, ...], blank: bool = True) -> Array | None:
+    def _column(self, cells: Sequence[str], blank: bool = True) -> Array | None:
         return file_io.decimals([cell.strip() for cell in cells], self.mark != ",", blank)
 
     def _add(self, line: int, t: float, span: tuple[float, float] | None, cell: dict[str, str]) -> None:
         outputs: list[float] = []
         censored: list[CensoredReading] = []
         for i, name in enumerate(self.plant.outputs.names):
-            limit = cell[name][:1] if cell[name][:1] in ("<", ">") else ""
-            value = _number(self.where, line, name, cell[name].removeprefix(limit).strip(), blank=not limit)
+            limit, number = _limit(cell[name])
+            value = _number(self.where, line, name, number, blank=not limit)
             since = self._since(line, t, cell.get(name + SINCE, ""))
             if np.isnan(value) and since is not None:
                 raise FileFormatError(
@@ -389,6 +393,16 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
         slip = f" Take a column that is neither out; the plant names {', '.join(wanted)}."
         raise FileFormatError(f"{where}: unknown column: {error}{slip}", where) from None
     return stamps[0]
+
+
+def _limit(cell: str) -> tuple[str, str]:
+    """The limit that a cell states, "<", ">" or none, and what stands behind its sign.
+
+    "<0.5" and "<=0.5" say the same: what is possible is a closed set.
+    """
+    sign = LIMITS.get(cell[:1], "")
+    number = cell[1:].removeprefix("=" if cell[:1] == sign else "") if sign else cell
+    return sign, number.strip()
 
 
 def _number(where: str, line: int, name: str, cell: str, blank: bool = False) -> float:

@@ -249,11 +249,10 @@ class MovingHorizonEstimator(WindowedEstimator):
 
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         t = sample.t
-        self._prepare(state, t)
-        new = self._limited(self._incoming(state, sample))
-        scheduled = self.claim.fits(state, t, new.mask)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, t)
+            new = self._limited(self._incoming(state, sample))
+            scheduled = self.claim.fits(state, t, new.mask)
             free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
             solved = self._slid_window(state, start, new) if free else None
         if solved is None:

@@ -140,7 +140,7 @@ class WindowedEstimator(OnlineEstimator):
         return state._replace(reached=(a, t, state.drift(self.table, a, t)))
 
     def _resolved(self, state: EstimatorState, sample: RecordRow) -> RecordRow:
-        if all(each.stamp is None for each in sample.censored):
+        if not sample.censored or all(each.stamp is None for each in sample.censored):
             return sample
         assumed = self.recorder.assumed
         assert assumed is not None  # or the sample was refused
@@ -156,9 +156,10 @@ class WindowedEstimator(OnlineEstimator):
         return sample._replace(censored=censored)
 
     def _settled(self, state: EstimatorState) -> EstimatorState:
-        assumed, begun = self.recorder.assumed, max(len(state.nodes) - 1 - REMEMBERED, 0)
-        if assumed is None or not np.isfinite(state.last.limited) or not state.last.stands:
+        assumed = self.recorder.assumed
+        if not math.isfinite(state.last.limited) or assumed is None or not state.last.stands:
             return state
+        begun = max(len(state.nodes) - 1 - REMEMBERED, 0)
         at = next((k for k, node in enumerate(state.nodes) if k > begun and node.waits), None)
         if at is None:
             return state
@@ -213,15 +214,6 @@ class WindowedEstimator(OnlineEstimator):
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
-    def _prepare(self, state: EstimatorState, t: float) -> None:
-        """Put the gaps of a new window that may be unknown into the table, at most three, in one batch."""
-        s, nodes = t - self.horizon, state.nodes
-        gaps = [t - nodes[-1].t]
-        if s > nodes[0].t and self.begins == "horizon":
-            at = state.node_before(s)
-            gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
-        self.table.known(gaps if min(gaps) > 0 else [gap for gap in gaps if gap > 0])
-
     def _expect(self, times: Array) -> None:
         kept = np.array([node.t for node in self.state.nodes])
         before = arriving = np.diff(times, prepend=kept[-1])
@@ -252,6 +244,8 @@ class WindowedEstimator(OnlineEstimator):
         if self.begins == "sample" or abs(node.t - s) <= slack:
             x, Y, beta, s = node.x, node.Y, node.beta, node.t
         else:
+            first = nodes[anchor + 1].t if anchor + 1 < len(nodes) else t
+            self.table.known((t - nodes[-1].t, s - node.t, first - s))  # what may be new in this window, in one batch
             x, Y, beta = self._propagated_to(state, node, s)
             closed = False
         inside = nodes[anchor if closed else anchor + 1 :]
@@ -261,7 +255,7 @@ class WindowedEstimator(OnlineEstimator):
             return WindowStart(s, x, beta, None, inside)
         factor = self.weights.prior_factor
         if self._worst[0] is not Y:
-            self._worst = Y, float(lapack.dsyev(factor.T.dot(Y).dot(factor), compute_v=0)[0][-1])
+            self._worst = Y, float(lapack.dsyev(factor.T.dot(Y).dot(factor), 0)[0][-1])
         return WindowStart(s, x, self._worst[1] * beta, None, inside)
 
     def _propagated_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:

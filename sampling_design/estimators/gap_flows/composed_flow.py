@@ -86,7 +86,7 @@ class ComposedFlow:
             terms = around.get(digit)
             if terms is None:
                 terms = around[digit] = self._expanded(digit)
-            np.dot(((h - digit * unit) * norm) ** powers, terms, out=row)
+            (((h - digit * unit) * norm) ** powers).dot(terms, row)
         return flow
 
     def _expanded(self, digit: int) -> Array:

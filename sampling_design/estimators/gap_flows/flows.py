@@ -68,7 +68,7 @@ class GapFlow:
         self.undiscounted: Array | None = None
         self._arrival: tuple[Array, tuple[Array, Array] | None] | None = None
         if roots is not None:
-            self.__dict__.update(_roots=roots, _ends=(None, 0.0))
+            self.__dict__.update(_roots=roots, _ends=(None, 0.0, None))
 
     @cached_property
     def size(self) -> Array:
@@ -99,21 +99,21 @@ class GapFlow:
         """Return how far `joint` may be off, relative, as a quadratic form; 0 where there is none."""
         return self._ends[1]
 
+    @property
+    def band(self) -> Array:
+        """Return its lower triangle, where it is known."""
+        band = self._ends[2]
+        assert band is not None
+        return band
+
     @cached_property
-    def _ends(self) -> tuple[Array | None, float]:
+    def _ends(self) -> tuple[Array | None, float, Array | None]:
         with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is not inverted
             return _joint(self.F, self.W)
 
-    @cached_property
-    def band(self) -> Array:
-        """Return its lower triangle, where it is known."""
-        joint = self.joint
-        assert joint is not None
-        return lower_band(joint, len(self.F))
-
     def known(self, joint: Array, loose: float, band: Array) -> None:
         """Take what was found of many gaps at once."""
-        self.__dict__.update(_ends=(joint, loose), band=band)
+        self.__dict__.update(_ends=(joint, loose, band))
 
     def arrived(self, Y: Array, found: tuple[Array, Array]) -> None:
         """Take what a prior was found to be worth."""
@@ -281,10 +281,10 @@ def _half(M: Array) -> tuple[Array, float] | None:
     None where its inverse would lose six digits or more. The trace is the condition in units of the diagonal but for a
     factor of n^2; units change no digit.
     """
-    factor, flag = lapack.dpotrf(M, lower=1, clean=1)
+    factor, flag = lapack.dpotrf(M, 1)  # lower; by name it takes twice as long
     if flag:
         return None
-    half = lapack.dtrtri(factor, lower=1)[0]
+    half = lapack.dtrtri(factor, 1)[0]
     unit = half * np.sqrt(M.diagonal())
     condition = float(np.vdot(unit, unit))
     return (half, condition) if condition <= CONDITION_LIMIT else None  # neither where something overflowed
@@ -336,17 +336,20 @@ def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
         flows[k].arrived(Y, (information[k], bands[k, 0]))
 
 
-def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
-    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], and how far it may be off; None where it would lose six digits."""
+def _joint(F: Array, W: Array) -> tuple[Array | None, float, Array | None]:
+    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], how far it may be off, and its lower band.
+
+    None where it would lose six digits.
+    """
     found = _half(W)
     if found is None:
-        return None, 0.0
+        return None, 0.0, None
     half, condition = found
     both = np.concatenate((half.dot(F), -half), axis=1)
     joint = both.T.dot(both)
     if not math.isfinite(np.vdot(both, both)):  # its trace
-        return None, 0.0
-    return joint, COVARIANCE_ERROR * condition
+        return None, 0.0, None
+    return joint, COVARIANCE_ERROR * condition, lower_band(joint, len(F))
 
 
 def _information_of(M: Array) -> tuple[Array, Array] | None:

@@ -79,10 +79,10 @@ class WindowGains(NamedTuple):
 
     def applied(self, right: Array, end: float, whole: bool) -> tuple[Array, float]:
         """Return the last node's deviation, or those of the `whole` window, and what they gain, at its discount."""
-        half = lapack.dtbtrs(self.factor, right.reshape(-1, 1), uplo="L")[0]
+        half = lapack.dtbtrs(self.factor, right.reshape(-1, 1), "L")[0]
         scale, gain = self.end / end, float(half.ravel().dot(half.ravel()))
         if whole:
-            return lapack.dtbtrs(self.factor, half, uplo="L", trans="T")[0].ravel() * scale, gain * scale
+            return lapack.dtbtrs(self.factor, half, "L", "T")[0].ravel() * scale, gain * scale
         return self.root.T.dot(half.ravel()[-len(self.root) :] * scale), gain * scale
 
 
@@ -482,7 +482,7 @@ def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Window
     # the last diagonal block, as a view; above its diagonal the band's zeros below the last row
     step = work.itemsize
     last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
-    root = lapack.dtrtri(last, lower=1)[0]
+    root = lapack.dtrtri(last, 1)[0]
     Y = (root.T * end).dot(root)
     gains = WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))
     return solution, float(right.dot(solution)), gains

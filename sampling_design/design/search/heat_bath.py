@@ -103,7 +103,8 @@ class HeatBath:
     ) -> None:
         self.problem, self.orthogonal_flow, self.places, self.unit = problem, orthogonal_flow, places, unit
         self.early, self.late = self.rows(places)
-        self._forms = np.hstack([_products(self.early), _products(self.late)])
+        # place by place, so that those of a few places are found quickly
+        self._forms = np.stack([_products(self.early), _products(self.late)])
         self._upper = np.triu_indices(self.early.shape[-1])
 
     @property
@@ -119,40 +120,40 @@ class HeatBath:
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 
-    def least_eigenvalues(self, others: Array, early: Array, late: Array) -> Array:
-        """(m, k) at most the least eigenvalue of each window, one more sample at each of the places.
+    def least_eigenvalues(self, others: Array, early: Array, late: Array, free: Index) -> Array:
+        """(free, k) at most the least eigenvalue of each window, one more sample at each of the `free` places.
 
-        The windows begin just before each of the `others` (k - 1 of them, sorted, with their rows), and before it.
+        The windows begin just before each of the `others` (k - 1 of them, sorted, with the `squares` of their rows),
+        and before it.
         """
         n, k = early.shape[-1], others.size
-        squares_of_early = squares(early)
         W = np.empty((k + 1, n, n))
-        W[0] = squares_of_early.sum(axis=0)
-        np.add(W[0], np.cumsum(squares(late) - squares_of_early, axis=0), out=W[1:])
+        W[0] = early.sum(axis=0)
+        np.add(W[0], np.cumsum(late - early, axis=0), out=W[1:])
         least = float(np.linalg.eigvalsh(W)[:, 0].min()) - _BELOW * self.unit
         inverse = np.linalg.inv(W - least * np.eye(n))
         both = np.concatenate([inverse, inverse @ inverse])[:, *self._upper]
-        forms = (both @ self._forms).reshape(2, k + 1, 2, -1, self.places.size)
+        products = self._forms[:, :, free].reshape(-1, both.shape[1])
+        forms = (both @ products.T).reshape(2, k + 1, 2, -1, free.size)
         before_it, behind_it = forms[:, :, 0], forms[:, :, 1]
-        behind = np.searchsorted(others, self.places)
+        behind = np.searchsorted(others, self.places[free])
         forms = np.where(np.arange(k)[:, None, None] < behind, before_it[:, :-1], behind_it[:, :-1])
-        own = before_it[:, behind, :, np.arange(self.places.size)].transpose(1, 2, 0)[:, None]
+        own = before_it[:, behind, :, np.arange(free.size)].transpose(1, 2, 0)[:, None]
         traces = np.trace(inverse, axis1=1, axis2=2)
-        before = np.concatenate([np.repeat(traces[:-1, None], self.places.size, axis=1), traces[behind][None]])
+        before = np.concatenate([np.repeat(traces[:-1, None], free.size, axis=1), traces[behind][None]])
         return np.asarray(least + 1 / _traces(before, np.concatenate([forms, own], axis=1)).T)
 
     def room(self, others: Array) -> Mask:
-        """(m, k) which of the places keep the spacing from each."""
+        """(k, m) which of the places keep the spacing from each."""
         period = self.problem.period
-        away = np.abs((self.places[:, None] - others + period / 2) % period - period / 2)
+        away = np.abs((self.places - others[:, None] + period / 2) % period - period / 2)
         return np.asarray(away >= self.problem.gap)
 
-    def judged(self, others: Array, early: Array, late: Array, room: Mask) -> tuple[Index, Array, Array]:
-        """Places free beside the `others`; the soft least of their windows, less that of the best; their least."""
-        free = np.flatnonzero(room.all(axis=1))
+    def judged(self, others: Array, early: Array, late: Array, free: Index) -> tuple[Index, Array, Array]:
+        """The places `free` beside the `others`; the soft least of their windows, less that of the best; their least."""
         if not free.size:
             return free, np.zeros(0), np.zeros(0)
-        eigenvalues = self.least_eigenvalues(others, early, late)[free] / self.unit
+        eigenvalues = self.least_eigenvalues(others, early, late, free) / self.unit
         least = eigenvalues.min(axis=1)
         soft = least - np.log(np.exp(-_SHARPNESS * (eigenvalues - least[:, None])).sum(axis=1)) / _SHARPNESS
         return free, soft - soft.max(), least
@@ -161,8 +162,9 @@ class HeatBath:
         """The best few schedules of a number of steps from `times`, the best first, with about their sigma^2."""
         kept: list[Valued] = []
         known = np.concatenate([times, self.places])  # what a schedule is chosen from, by its number
-        early, late = (np.concatenate(pair) for pair in zip(self.rows(times), (self.early, self.late), strict=True))
-        room, chosen = self.room(known), np.arange(times.size)
+        rows = zip(self.rows(times), (self.early, self.late), strict=True)
+        early, late = (squares(np.concatenate(pair)) for pair in rows)
+        crowded, chosen = ~self.room(known), np.arange(times.size)
         # cooled down, the same sample goes out of the same schedule again and again
         judged: dict[bytes, tuple[Index, Array, Array]] = {}
         for step in range(steps):
@@ -173,7 +175,8 @@ class HeatBath:
             if len(judged) > _REMEMBERED:
                 judged.clear()
             if key not in judged:
-                judged[key] = self.judged(known[rest], early[rest], late[rest], room[:, rest])
+                free = np.flatnonzero(~crowded[rest].any(axis=0))
+                judged[key] = self.judged(known[rest], early[rest], late[rest], free)
             free, soft, least = judged[key]
             if not free.size:
                 continue
@@ -192,12 +195,12 @@ class HeatBath:
 
 
 def _products(X: Array) -> Array:
-    """What makes x'Mx of all pairs of rows of X (m, q, n) out of the upper triangle of M, (n (n + 1) / 2, pairs m)."""
+    """What makes x'Mx of all pairs of rows of X (m, q, n) out of the upper triangle of M, (pairs, m, n (n + 1) / 2)."""
     m, q, n = X.shape
     i, j = np.triu_indices(n)
     r, s = np.triu_indices(q)
     mixed = X[:, r][..., i] * X[:, s][..., j] + X[:, s][..., i] * X[:, r][..., j]
-    return np.asarray((mixed * np.where(i == j, 0.5, 1.0)).transpose(2, 1, 0).reshape(i.size, r.size * m))
+    return np.ascontiguousarray((mixed * np.where(i == j, 0.5, 1.0)).transpose(1, 0, 2))
 
 
 def _traces(traces: Array, forms: Array) -> Array:

@@ -10,6 +10,7 @@ from scipy.linalg import expm
 from sampling_design import Plant, design_schedule
 from sampling_design.design.bounds.relaxation import relax_placed, unsolved
 from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.orthogonal_flow import squares
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import heat_bath, local_search
 from sampling_design.design.search.fedorov_exchange import is_admissible
@@ -52,6 +53,12 @@ def plain(case, times, begin):
     return W
 
 
+def seen_of_all(bath, others):
+    """What is seen of all places, by a bath that remembers nothing."""
+    anew = HeatBath(bath.problem, bath.orthogonal_flow, bath.places, bath.unit)
+    return anew.least_eigenvalues(others, *map(squares, bath.rows(others)), np.arange(bath.places.size))
+
+
 def half_of_the_time(repeats):
     return (None, np.array([[d, d + 0.65] for d in range(repeats)]))
 
@@ -66,7 +73,7 @@ def test_what_is_seen_of_a_place_is_newtons_step_towards_the_least_eigenvalue_of
     spots = np.sort(np.array([d + h for d in range(4) for h in (0.0, 0.13, 0.29, 0.6, 0.71, 0.93)]))
     bath = HeatBath(case, case.orthogonal_flow, spots, unit=2.0)
     others = np.sort(rng.choice(spots, 6, replace=False) + 0.003)
-    seen = bath.least_eigenvalues(others, *bath.rows(others))
+    seen = seen_of_all(bath, others)
     assert seen.shape == (spots.size, 7)
     t = min(np.linalg.eigvalsh(plain(case, others, a))[0] for a in others) - heat_bath._BELOW * 2.0
     for place, found in zip(spots, seen, strict=True):
@@ -81,7 +88,7 @@ def test_of_one_state_the_step_is_the_eigenvalue_itself():
     case = problem(Plant([[0.0]], [[2.0]]), 3, 5)
     bath = HeatBath(case, case.orthogonal_flow, np.array([0.1, 0.7, 1.1, 2.9]), unit=1.0)
     others = np.array([0.0, 0.2, 1.2, 2.2])
-    np.testing.assert_allclose(bath.least_eigenvalues(others, *bath.rows(others)), 20.0, rtol=1e-12)
+    np.testing.assert_allclose(seen_of_all(bath, others), 20.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("plant", few([ALONE, MIXED], 0))
@@ -105,8 +112,8 @@ def drawn_anew(bath, times, rng, steps):
     heats = heat_bath._WARM * (heat_bath._COOL / heat_bath._WARM) ** (np.arange(steps) / steps) / times.size
     for heat in heats:
         others = np.delete(times, rng.integers(times.size))
-        free = bath.room(others).all(axis=1)
-        seen = bath.least_eigenvalues(others, *bath.rows(others))[free] / bath.unit
+        free = bath.room(others).all(axis=0)
+        seen = seen_of_all(bath, others)[free] / bath.unit
         soft = -np.log(np.exp(-heat_bath._SHARPNESS * seen).sum(axis=1)) / heat_bath._SHARPNESS
         odds = np.cumsum(np.exp((soft - soft.max()) / heat))
         place = int(np.searchsorted(odds, rng.uniform() * odds[-1], side="right"))
@@ -127,6 +134,24 @@ def test_a_run_draws_what_it_would_draw_if_every_step_were_judged_anew(monkeypat
     assert value == pytest.approx(plainly[0], rel=1e-9)
     np.testing.assert_array_equal(times, plainly[1])
     assert len(judged) < 150
+
+
+@pytest.mark.parametrize("lately", [1, 3])
+def test_the_worst_window_is_found_whichever_were_the_worst_before(monkeypatch, lately):
+    """Schedules that follow each other by chance, so that other windows become the worst again and again."""
+    monkeypatch.setattr(heat_bath, "_LATELY", lately)
+    case, rng, counts = problem(MIXED, 4, 7), np.random.default_rng(5), []
+    spots, own = np.sort(rng.uniform(size=9)), np.linalg.eigvalsh
+    bath = HeatBath(case, case.orthogonal_flow, spots, unit=1.0)
+    monkeypatch.setattr(np.linalg, "eigvalsh", lambda W: counts.append(len(W)) or own(W))
+    for _ in range(40):
+        others = np.sort(rng.choice(spots, 6, replace=False))
+        roots = rng.normal(size=(6, 5, 7))
+        W = roots @ roots.transpose(0, 2, 1)
+        assert bath.least(others, W) == pytest.approx(own(W)[:, 0].min(), rel=heat_bath._TIED)
+        assert len(bath._lately) <= lately
+    assert 6 in counts
+    assert min(counts) < 6
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Window problems of the thyroid patient: one sample-based solve, one standard solve, a day of each, one build."""
+"""Window problems of the thyroid patient: solves with and without a look at the grid, one build, a week simulated."""
 
 import numpy as np
 import pytest
@@ -11,23 +11,31 @@ from sampling_design.nonlinear.thyroid import PRIOR_START, TRUE_START, thyroid
 
 PLANT = thyroid()
 TIMES = STEP * np.arange(85)
+KINDS = {
+    "standard": (1, None),
+    "standard, grid checked": (1, 0.01),
+    "sample-based": (12, None),
+    "sample-based, grid checked": (12, 0.01),
+}
+"""Every so many steps a sample, and the `accuracy` of the collocation: 0.01 by default, None where nobody looks."""
 TRUTH = simulate(PLANT, TRUE_START, TIMES)
 Y = TRUTH[:, [1, 2, 4]]
 
 
-def build():
+def build(accuracy=None):
     return NonlinearMovingHorizonEstimator(
         PLANT,
         horizon=HORIZON,
         prior=PRIOR_START,
-        collocation=Collocation(w_step=STEP, capacity=60, degree=DEGREE, accuracy=None),
+        collocation=Collocation(w_step=STEP, capacity=60, degree=DEGREE, accuracy=accuracy),
         cost=paper_weights(),
     )
 
 
-@pytest.mark.parametrize("every", [1, 12], ids=["standard", "sample-based"])
-def test_one_solve_with_a_full_window(benchmark, every):
-    scheme = build()
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_solve_with_a_full_window(benchmark, kind):
+    every, accuracy = KINDS[kind]
+    scheme = build(accuracy)
     scheme.run((t, y) for t, y in zip(TIMES[:-1:every], Y[:-1:every], strict=True))
     before, warm = scheme.state, scheme.window
 

@@ -475,12 +475,37 @@ def test_a_long_run_far_above_what_is_claimed_is_no_family(made):
         settled(framed(c, balls.symmetric(1e9 * c.weights.P1), "far"), 1e-14, ENDLESS)
 
 
-def test_windows_that_linger_are_caught_by_a_family_that_is_wide_there(monkeypatch):
+@pytest.mark.parametrize("turn", [0.0, 2.0], ids=["decays", "turns as it decays"])
+def test_windows_that_linger_are_caught_by_one_that_is_raised_and_comes_back(turn, monkeypatch):
     """What is hardly driven settles far below where windows begin, and they come down as slowly as it decays."""
-    plant = Plant(np.diag([0.05, -0.01]), [[1.0, 0.1]], G=np.diag([1.0, 1e-4]))
-    made = certify(plant, PeriodicSchedule([1.0]), eta=0.002, P2=np.diag([0.2, 1.0]))
-    assert decided_on_schedule(made.content, WorkLimit(1e5)).passed
+    A = [[0.05, 0.0, 0.0], [0.0, -0.01, turn], [0.0, -turn, -0.01]]
+    plant = Plant(A, [[1.0, 0.1, 0.0]], G=np.diag([1.0, 1e-4, 1e-4]))
+    made = certify(plant, PeriodicSchedule([1.0]), eta=0.002, P2=np.diag([0.2, 1.0, 1.0]))
+    assert decided_on_schedule(made.content, WorkLimit(2e4)).passed
     with monkeypatch.context() as without:
         without.setattr(ball_proof, "SOUGHT", 0)
-        narrow = decided_on_schedule(made.content, WorkLimit(1e5))
+        narrow = decided_on_schedule(made.content, WorkLimit(2e4))
     assert (narrow.verdict, narrow.reason) == ("undecided", "it takes more work than was handed over")
+
+
+@pytest.mark.parametrize(
+    ("gap", "room", "most", "kept"),
+    [(1.0, 1.1, 40, 1), (1.0, 0.9, 40, 0), (1.0, 1.1, 1, 0), (np.pi, 1e6, 40, 0)],
+    ids=["below I", "above I between samples", "not yet back", "never comes back"],
+)
+def test_a_window_is_a_family_if_it_comes_back_and_is_below_one_until_then(gap, room, most, kept, monkeypatch):
+    """The target is what the window has at its peak, with room; the oscillator is observed nowhere every half turn."""
+    monkeypatch.setattr(ball_proof, "WIDENED", 1.0)
+    parts = {"P1": 1e-9 * np.eye(2), "P2": 0.1 * np.eye(2), "Qw": np.eye(2), "R": [[2.0]], "Qv": [[2.0]], "eta": 0.4}
+    c = content(Certificate.from_matrices(OSCILLATOR, PeriodicSchedule([gap]), **parts).to_dict())
+    with balls.precision():
+        plain = framed(c, balls.identity(2), "peak")
+        before = plain.flow.step(plain.start, plain.schedule.gaps[0])
+        after = plain.with_gain(before, 0, plain.gain(before, 0))
+        peak = max(
+            np.linalg.eigvalsh(balls.floats(plain.flow.step(after, balls.ball(s))))[-1]
+            for s in gap * np.linspace(0, 1, 41)
+        )
+        windows = ball_proof.BallWindows(framed(c, balls.identity(2) / (peak * room), "peak"), ENDLESS)
+        windows.widen(windows.frame.flow.step(windows.frame.start, windows.schedule.gaps[0]), 0, most)
+    assert len(windows.families) == kept

@@ -36,13 +36,10 @@ PROPOSALS = {BITS: (1e-14, 1e-10, 1e-6, 1e-3), 400: (1e-44, 1e-38, 1e-32, 1e-26,
 Little of it comes first: more of it fills fast directions, where Y must then be followed in short steps. Nearly equal
 modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
 """
-SEEN = 20  # samples along which a window is followed before a family is sought that is made to catch it
-SOUGHT = 3  # such families in one proof, each of a window that was followed twice as far as that of the one before
-SHAPED = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4)
-"""Shares of the covariance of such a window that are added at every sample for that family: the most of it first.
-
-What settles slowly gathers them, so that the family is wide where windows linger, and hardly wider elsewhere.
-"""
+SEEN = 5  # samples along which a window is followed before a family is made of it
+SOUGHT = 8  # such families in one proof, each of a window that was followed twice as far as that of the one before
+LINGERS = 8  # times as many samples as until then, within which it must come below where it was
+WIDENED = 1.3  # by how much its covariance is raised first, at most: what is wide catches others early
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02, 0.0)
 """How far the family is blown up towards I, as powers of what samples leave: not at all where the peak lies between."""
 
@@ -50,16 +47,12 @@ Period = tuple[Matrix, Matrix, Matrix]
 """A, H, W of the map Y -> A Y (I + H Y)^-1 A' + W that samples and gaps make; midpoints."""
 
 
-def settled(
-    frame: ScheduleFrame, inflation: float, clock: Budget, shape: Matrix | None = None
-) -> tuple[list[Matrix], float]:
+def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list[Matrix], float]:
     """Return Y after each sample of the last period with inflated noise, midpoints, and its largest eigenvalue there.
 
-    At every sample `inflation` I is added, and `shape` where there is one. Raises ArithmeticError if it leaves I behind
-    by far, or does not settle.
+    Raises ArithmeticError if it leaves I behind by far, or does not settle.
     """
     more = ball(inflation) * frame.identity
-    more = more if shape is None else more + shape
 
     def converged(before: Matrix, after: Matrix) -> bool:
         return _size(after - before) <= 1e-2 * inflation
@@ -156,7 +149,7 @@ class BallWindows:
         self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
         self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
         self.families: list[list[Matrix]] = []
-        self.inflation, self.sought = 0.0, 0  # of the first one; how often a wider one was sought
+        self.sought = 0  # how often a wider one than the first was sought
 
     @cached_property
     def falling(self) -> BallFlow:
@@ -190,32 +183,35 @@ class BallWindows:
         A finite schedule needs none.
         """
         for inflation in inflations:
-            worst = self.try_family(inflation)
-            if self.families:
-                self.inflation = inflation
-                return True
+            try:
+                Z, worst = settled(self.frame, inflation, self.clock)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                continue
             if not worst < 1:  # nor with more noise
                 break
+            if any(self.invariant([ball(worst**-power) * z for z in Z]) for power in POWERS):
+                return True
         return not self.schedule.periodic
 
-    def widen(self, Y: Matrix) -> None:
-        """Find and prove another family, as wide as may be in the directions in which windows like Y linger."""
-        self.sought, known = self.sought + 1, len(self.families)
-        for share in SHAPED:
-            self.try_family(self.inflation, ball(share) * _even(Y))
-            if len(self.families) > known:
-                return
+    def widen(self, Y: Matrix, i: int, most: int) -> None:
+        """Make a family of Y just before sample i, raised: if it comes below where it was, and is below I until then.
 
-    def try_family(self, inflation: float, shape: Matrix | None = None) -> float:
-        """Try to prove the family of this inflation and shape; return its largest eigenvalue, 0 if none settles."""
-        try:
-            Z, worst = settled(self.frame, inflation, self.clock, shape)
-        except (ArithmeticError, np.linalg.LinAlgError):
-            return 0.0
-        for power in POWERS if worst < 1 else ():
-            if self.invariant([ball(worst**-power) * z for z in Z]):
-                break
-        return worst
+        Where windows come down slowly, they are below it long before they are near those in the long run.
+        """
+        frame, schedule, passed = self.frame, self.schedule, dict[int, Matrix]()
+        self.sought += 1
+        Y = _even(Y) * ball(np.clip(_top(Y) ** -0.5, 1.0, WIDENED))
+        for _ in range(most):
+            self.clock.check(200 + 3 * frame.n**3)
+            Y = raised(frame.with_gain(Y, i, frame.gain(Y, i)))
+            if len(passed) == schedule.N and (self.caught([Y], i) or definite(passed[i] - Y)):
+                self.families.append([passed[k] for k in range(schedule.N)])
+                return
+            passed.setdefault(i, Y)
+            i = schedule.after(i)
+            if not self.below_one(Y, schedule.gaps[i]):
+                return
+            Y = frame.flow.step(Y, schedule.gaps[i])
 
     def invariant(self, B: list[Matrix]) -> bool:
         """Whether the family is proven; keep it if so."""
@@ -243,7 +239,7 @@ class BallWindows:
             self.clock.check(200 + 3 * frame.n**3)
             middle = sum(ends[1:], ends[0]) / len(ends)
             if self.families and self.sought < SOUGHT and followed == SEEN * 2**self.sought:
-                self.widen(middle)
+                self.widen(middle, i, LINGERS * followed)
             K = frame.gain(middle, i)
             ends = [raised(frame.with_gain(Y, i, K)) for Y in ends]
             if self.caught(ends, i):

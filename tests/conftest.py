@@ -1,5 +1,6 @@
 """Deterministic tests: one thread for BLAS, one Hypothesis profile, no display."""
 
+import contextlib
 import functools
 import gc
 import importlib
@@ -27,6 +28,9 @@ settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
+# What is drawn would depend on the numbers in all modules that were imported before; to read them takes a second.
+with contextlib.suppress(ImportError):  # an earlier Hypothesis draws none of them
+    importlib.import_module("hypothesis.internal.conjecture.providers").is_local_module_file = lambda path: False
 FEWER: dict[str, dict[str, Any]] = {
     "design.search.local_search": {"KICKS": 0, "LED": 1, "FEW": 1, "DRAWS": 20},
     "design.bounds.weak_duality": {"CELLS": 300, "CELLS_PER_RATE": 12.0},

@@ -60,7 +60,10 @@ class Rigour:
             names = sorted(name for name in os.listdir(self.folder) if name.endswith(".json"))
         except FileNotFoundError:
             return []
-        return [(self.folder / name, test) for name in names if not (self.decided / name).exists()]
+        again = {name for name in names if (self.decided / name).exists()}
+        for name in again:  # or all tests after it would ask for it once more
+            (self.folder / name).unlink(missing_ok=True)
+        return [(self.folder / name, test) for name in names if name not in again]
 
     def decide(self, made: tuple[Path, str]) -> dict[str, Any]:
         """Decide one file; a proven one need not be decided again in this run."""

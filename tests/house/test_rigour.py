@@ -89,6 +89,7 @@ def test_what_is_wrong_fails_and_what_is_right_is_counted_once(judge):
         kept_certificates.keep(given())
         assert judge.judge("right") == ""
         assert [v["verdict"] for v in judge.verdicts()] == ["proven"]
+        assert not list(judge.folder.iterdir())  # or each test to come would look at it
     kept_certificates.keep(given(20.0))
     assert "is refuted: (1 + margin) P1 <= Pi(t) fails by" in judge.judge("wrong")
     assert judge.judge("the one after it") == ""

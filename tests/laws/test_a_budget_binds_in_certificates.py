@@ -15,7 +15,7 @@ WIDE = Plant(
 SCHEDULE = PeriodicSchedule([0.7, 1.0, 0.4])
 
 
-@pytest.mark.parametrize("budget", few([0.2, 0.5], 0))
+@pytest.mark.parametrize("budget", few([0.05, 0.2, 0.5], 0))
 def test_robustness_ends_in_time(budget):
     planned = certify(WIDE, SCHEDULE, eta=0.2, P2=np.eye(4))
     with Counted().running() as clock:

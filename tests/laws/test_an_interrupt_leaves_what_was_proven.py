@@ -24,7 +24,7 @@ UNEVEN, FEW = sd.PeriodicSchedule([0.9, 1.4, 1.1]), sd.SpacedWindows(4.0, 3, 0.5
 VERBS = {
     "window": ("bracket.py", lambda: sd.window_sigma(TURNING, UNEVEN, 4.0, 1e-9)),
     "late samples": ("bracket.py", lambda: sd.window_sigma(TURNING, UNEVEN, 4.0, 1e-9, timing_tolerance=0.01)),
-    "window, box": ("branch_and_bound.py", lambda: sd.window_sigma(BOX, RHYTHM, 4.0, 5e-2)),
+    "window, box": ("branch_and_bound.py", lambda: sd.window_sigma(BOX, RHYTHM, 4.0, 0.1)),
     "window, varying": ("bracket_varying.py", lambda: sd.window_sigma(VARYING, NINE, 3.0, 1e-3)),
     "worst case": ("spaced_sphere.py", lambda: sd.worst_case_sigma(OSCILLATOR, FEW, 1e-4)),
     "worst case, box": ("spaced_sphere.py", lambda: sd.worst_case_sigma(BOX, FEW, 0.1)),

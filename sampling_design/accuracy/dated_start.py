@@ -29,13 +29,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
-from sampling_design.accuracy.readings import (
-    CensoredReading,
-    Readings,
-    RecordRow,
-    RowReading,
-    input_at,
-)
+from sampling_design.accuracy.readings import CensoredReading, Readings, RecordRow, RowReading, input_at
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance, balanced
@@ -302,11 +296,7 @@ def _flows(unread: Readings, times: Sequence[float]) -> list[Array]:
 
 
 def _fitted(
-    unread: Readings,
-    samples: Sequence[RecordRow],
-    flows: Sequence[Array],
-    noise: tuple[Array, Array],
-    before: bool,
+    unread: Readings, samples: Sequence[RecordRow], flows: Sequence[Array], noise: tuple[Array, Array], before: bool
 ) -> Array:
     """The start of the trajectory that fits the readings best, those of uncertain times in the middle of these.
 

@@ -47,12 +47,7 @@ def bounds(form: Array, terms: Array, radius: Array | None = None) -> Parts:
 
 
 def least(
-    name: str,
-    form: Array,
-    terms: Array,
-    times: Array | None = None,
-    radius: Array | None = None,
-    who: str = "",
+    name: str, form: Array, terms: Array, times: Array | None = None, radius: Array | None = None, who: str = ""
 ) -> float:
     """The least slack of matrices that are all members of the claim; Refused or Undecided where one is not positive.
 

@@ -64,8 +64,7 @@ WantedError = Annotated[
     str | None, typer.Option("--tolerance", help="Wanted error of each row, one number or with commas between.")
 ]
 WhiteDisturbance = Annotated[
-    str | None,
-    typer.Option(help="Intensity of white w [its unit squared times time]: standard deviations beside."),
+    str | None, typer.Option(help="Intensity of white w [its unit squared times time]: standard deviations beside.")
 ]
 WhiteNoise = Annotated[
     str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")

@@ -15,14 +15,7 @@ from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import files
-from sampling_design.cli.options import (
-    UNBOUNDED,
-    BoundOptions,
-    CertificateArgument,
-    PlantFile,
-    Rigorous,
-    timing,
-)
+from sampling_design.cli.options import UNBOUNDED, BoundOptions, CertificateArgument, PlantFile, Rigorous, timing
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Budget
@@ -67,10 +60,7 @@ Lost = Annotated[
     tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
 ]
 Detectability = Annotated[bool, typer.Option("--detectability", help="The plant alone, no samples: Theorem 10.")]
-Horizons = Annotated[
-    bool,
-    typer.Option("--horizons", help="Set four horizons of SCHEDULE side by side, too."),
-]
+Horizons = Annotated[bool, typer.Option("--horizons", help="Set four horizons of SCHEDULE side by side, too.")]
 NewFile = Annotated[
     Path | None, typer.Option("--certificate", metavar="FILE", help="Where to write the certificate (.json).")
 ]

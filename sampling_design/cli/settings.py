@@ -51,10 +51,7 @@ ONLY: dict[str, tuple[str, ...]] = {
 their arguments, or they have a limit of their own: what ends by the clock depends on how many share the work); and
 that ask for observability of some modes, or of some rows alone (`accuracy` has its own --of)."""
 
-WITHOUT: dict[str, tuple[str, ...]] = {
-    "no_picture": ("info", "verify", "next", "explore", "new"),
-    "output": ("new",),
-}
+WITHOUT: dict[str, tuple[str, ...]] = {"no_picture": ("info", "verify", "next", "explore", "new"), "output": ("new",)}
 """Flags that every command has but these: they draw nothing, or are given their folder."""
 
 
@@ -77,12 +74,10 @@ class Settings:
     no_picture: Annotated[bool, typer.Option("--no-picture", help="With -o: all files but the picture.")] = False
     budget: Annotated[float, typer.Option(help="Seconds a search may take.", metavar="SECONDS")] = 60.0
     decay_rate: Annotated[
-        float | None,
-        typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit]."),
+        float | None, typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit].")
     ] = None
     of: Annotated[
-        str | None,
-        typer.Option(help="Only these rows of the state: names of states or outputs, with commas between."),
+        str | None, typer.Option(help="Only these rows of the state: names of states or outputs, with commas between.")
     ] = None
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)

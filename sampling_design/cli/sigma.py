@@ -10,14 +10,7 @@ import typer
 
 import sampling_design as sd
 from sampling_design.cli import files
-from sampling_design.cli.options import (
-    PlantFile,
-    RelativeWidth,
-    ScheduleFile,
-    TimingOption,
-    Window,
-    timing,
-)
+from sampling_design.cli.options import PlantFile, RelativeWidth, ScheduleFile, TimingOption, Window, timing
 from sampling_design.cli.settings import Settings
 from sampling_design.observability.count.zero_count import default_window
 from sampling_design.plants.functional import split_needed, weighed_over

@@ -51,10 +51,7 @@ def _laboratory() -> ScheduleExplorer:
         outputs=Signals(["nurse", "laboratory"], ["nmol/l"] * 2),
         name="hormone with a daily rhythm",
     )
-    open_hours = {
-        "nurse": Sensor(available=[[7.0, 22.0]]),
-        "laboratory": Sensor(5.0, available=[[9.0, 16.0]]),
-    }
+    open_hours = {"nurse": Sensor(available=[[7.0, 22.0]]), "laboratory": Sensor(5.0, available=[[9.0, 16.0]])}
     mask = [[True, False], [True, True], [True, False]]
     return ScheduleExplorer(
         plant,

@@ -147,12 +147,7 @@ class _NewtonWindow:
     """One window: what is quadratic in its cost, its bounds, and a step of Newton's method."""
 
     def __init__(
-        self,
-        data: WindowData,
-        root: Array,
-        weights: Array,
-        boxes: tuple[ProgramPoint, ...],
-        functions: WindowFunctions,
+        self, data: WindowData, root: Array, weights: Array, boxes: tuple[ProgramPoint, ...], functions: WindowFunctions
     ) -> None:
         self.data, self.root, self.weights, self.functions = data, root, weights, functions
         self.lower, self.upper = boxes

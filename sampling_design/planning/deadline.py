@@ -12,14 +12,7 @@ from sampling_design.planning.accuracy_oracle import GridSpan
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
-from sampling_design.planning.sequence import (
-    is_past,
-    judged_at_once,
-    longest_out,
-    span_begin,
-    spans_of,
-    window_after,
-)
+from sampling_design.planning.sequence import is_past, judged_at_once, longest_out, span_begin, spans_of, window_after
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, sequence_filter
 from sampling_design.records.arrays import Array
 

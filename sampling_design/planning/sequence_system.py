@@ -78,12 +78,7 @@ def plan_system(plan: PlanFigures) -> SampledSystem:
 
 
 def sequence_system(
-    plan: PlanFigures,
-    sequence: SampleSequence,
-    settles: int = 1,
-    *,
-    limited: bool = True,
-    until: float = -np.inf,
+    plan: PlanFigures, sequence: SampleSequence, settles: int = 1, *, limited: bool = True, until: float = -np.inf
 ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
     """The system of a sequence (up to its last sample, or `until` a time) and what its filter bounds.
 

@@ -80,10 +80,7 @@ def _stems(ax: Axes, times: Array, outputs: Mask | None, rows: int, alpha: float
         ax.vlines(chosen, row - 0.32, row + 0.32, color=style.MEASURED, alpha=alpha, linewidth=1.8)
 
 
-_LEFT = (
-    ("late", "if samples are late or early", "v-."),
-    ("lost", "if one sample is lost", "x:"),
-)
+_LEFT = (("late", "if samples are late or early", "v-."), ("lost", "if one sample is lost", "x:"))
 """What is left of sigma, proven as it is: its name, words and line."""
 
 

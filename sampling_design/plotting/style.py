@@ -244,11 +244,7 @@ STRETCH = 1.5  # how much longer the whole must be than what rules the axis, for
 
 
 def not_ruled_by_the_start(
-    ax: matplotlib.axes.Axes,
-    t: Array,
-    low: Array,
-    high: Array,
-    include: Array | None = None,
+    ax: matplotlib.axes.Axes, t: Array, low: Array, high: Array, include: Array | None = None
 ) -> None:
     """Limit the y axis by what comes after the start, where the start alone would stretch it by half.
 
@@ -301,12 +297,7 @@ def points(
 
 
 def filled(
-    ax: matplotlib.axes.Axes,
-    edges: Array,
-    least: Array,
-    largest: Array,
-    colour: str,
-    label: str | None,
+    ax: matplotlib.axes.Axes, edges: Array, least: Array, largest: Array, colour: str, label: str | None
 ) -> None:
     """Fill from the least to the largest value of each stretch, with a line where both are one."""
     ax.stairs(

@@ -69,12 +69,7 @@ class TimingTolerance:
     names: tuple[str, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        value: object,
-        outputs: Sequence[str] | None = None,
-        unit: str | None = None,
-    ) -> Self:
+    def of(cls, value: object, outputs: Sequence[str] | None = None, unit: str | None = None) -> Self:
         """Return the tolerance that a time, a pair, or a table of these says; what has none (None) is on time.
 
         `outputs` are the names of the plant's, where they are known yet, and `unit` that in which times are counted: a

@@ -31,14 +31,7 @@ from sampling_design.schedules.family import (
     pick,
     reach_of,
 )
-from sampling_design.schedules.jitter import (
-    DEVIATION_CELLS,
-    Jitter,
-    TimingTolerance,
-    begun_late,
-    moved,
-    nominal_part,
-)
+from sampling_design.schedules.jitter import DEVIATION_CELLS, Jitter, TimingTolerance, begun_late, moved, nominal_part
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

@@ -293,8 +293,7 @@ class MeasurementTable:
         """Refuse what needs a time in a row that has none."""
         if any(each.since is not None for each in censored):
             raise FileFormatError(
-                f"{self.where}: {row_name(self.where, line)} holds a mean, whose end must be one time.",
-                self.where,
+                f"{self.where}: {row_name(self.where, line)} holds a mean, whose end must be one time.", self.where
             )
         if any(not np.isnan(value) and value != last for value, last in zip(inputs, self._held, strict=True)):
             raise FileFormatError(
@@ -491,6 +490,5 @@ def _is_date(cell: str) -> bool:
 def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, tuple[float, ...]]) -> None:
     if not np.array_equal(new, old[1], equal_nan=True):
         raise FileFormatError(
-            f"{where}: {row_name(where, line)} repeats the time of {row_name(where, old[0])} with other values.",
-            where,
+            f"{where}: {row_name(where, line)} repeats the time of {row_name(where, old[0])} with other values.", where
         )

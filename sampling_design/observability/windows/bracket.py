@@ -247,12 +247,7 @@ class _BracketSearch:
 
 
 def bracket_sigma(
-    plant: Plant,
-    pieces: WindowPieces,
-    rtol: float,
-    seconds: float,
-    progress: Progress | None,
-    reached: float = np.inf,
+    plant: Plant, pieces: WindowPieces, rtol: float, seconds: float, progress: Progress | None, reached: float = np.inf
 ) -> WindowBracket:
     """Bracket the least sigma over all pieces; `seconds` may be infinite.
 

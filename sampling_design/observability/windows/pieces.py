@@ -48,12 +48,7 @@ class WindowWitness(Record):
     direction: Array
     sigma: float
 
-    _table = {
-        "window end": "{position}",
-        "samples": "{samples}",
-        "direction": "{direction}",
-        "sigma": "{sigma:up}",
-    }
+    _table = {"window end": "{position}", "samples": "{samples}", "direction": "{direction}", "sigma": "{sigma:up}"}
 
     @property
     def position(self) -> str:
@@ -131,10 +126,7 @@ class WindowPieces:
 
 
 def window_pieces(
-    schedule: Schedule | PeriodicSchedule,
-    window: float,
-    start: float | None = None,
-    late: TimingTolerance = ON_TIME,
+    schedule: Schedule | PeriodicSchedule, window: float, start: float | None = None, late: TimingTolerance = ON_TIME
 ) -> WindowPieces:
     """Return the pieces of all full windows that begin at `start` or later.
 

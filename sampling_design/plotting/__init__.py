@@ -84,11 +84,18 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
 
 def _as_typed(drawn: object) -> None:
     """Show a name with dollars as it is where they hold no formula that matplotlib reads."""
+    from matplotlib.axis import Axis
     from matplotlib.mathtext import MathTextParser
     from matplotlib.text import Text
+    from matplotlib.ticker import FixedFormatter
 
-    for text in np.ravel(np.asarray(drawn, dtype=object))[0].figure.findobj(Text):
-        if text.get_text().count("$") > 1:
+    artists = [np.ravel(np.asarray(drawn, dtype=object))[0].figure]
+    for artist in artists:
+        # what stands at other ticks are numbers and dates, and to ask for them makes them all
+        bare = isinstance(artist, Axis) and not isinstance(artist.get_major_formatter(), FixedFormatter)
+        artists += [artist.label] if bare else artist.get_children()
+    for text in artists:
+        if isinstance(text, Text) and text.get_text().count("$") > 1:
             try:
                 MathTextParser("path").parse(text.get_text())
             except ValueError:

@@ -13,6 +13,7 @@ bounded by what is in when that of the sample comes, and no more: later on only 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -184,13 +185,13 @@ def moved_witness(
     count = len(search.system.nodes(j, search.deep))
     gains, adversary = search.both_sides(j, found.opened[j].mu[offset])
     system, at, shift, until = search.system, j, np.zeros(1), float(found.opened[j].d[offset])
-    gaps = MovedGaps(system, search.cell_loss)
+    system_of = moved_systems(system, search.cell_loss)
     best: AccuracyWitness | None = None
     for _ in range(MOVED):
         ahead = open_row(system, at, found.row, until).mu[-1] @ np.linalg.solve(system.L[at], system.G)
         shift = _worst_times(system, at, gains, adversary, ahead, question.timing_tolerance, shift)
         moved, at = _moved_question(question, j, count, shift)
-        system = gaps.system(moved)
+        system = system_of(moved)
         until = float(found.opened[j].d[offset]) - shift[-1]
         opened = open_row(system, at, found.row, until)
         nodes = system.nodes(at, count)
@@ -205,35 +206,32 @@ def moved_witness(
     return best
 
 
-class MovedGaps:
-    """A system with other gaps between its samples, in its own coordinates: gaps of one length are made once."""
+def moved_systems(planned: SampledSystem, loss: float) -> Callable[[AccuracyQuestion], SampledSystem]:
+    """What makes the system of a question with other gaps, in the planned one's coordinates; those alike are made once.
 
-    def __init__(self, planned: SampledSystem, loss: float):
-        self.planned, self.loss = planned, loss
-        self._table = GapTable(planned.A, planned.G, np.ones(len(planned.A)))
-        self._made: dict[tuple[int, int], GapDynamics] = {}
+    Its samples are those of some periods of the planned one, or of a finite one.
+    """
+    table, known = GapTable(planned.A, planned.G, np.ones(len(planned.A))), dict[tuple[int, int], GapDynamics]()
 
-    def system(self, moved: AccuracyQuestion) -> SampledSystem:
-        """The system of a question whose samples are moved, of some periods of the planned one or of a finite one."""
-        planned, number = self.planned, len(self.planned)
-        ends = moved.nodes if moved.initial is not None else np.append(moved.nodes, moved.end)
-        tiny, at = 8 * float(np.spacing(np.abs(ends).max())), np.arange(len(moved.nodes)) % number
-        gaps = [self._gap(k % number, h, tiny) for k, h in enumerate(np.diff(ends).tolist())]
-        return replace(
-            planned, bounds=moved.bounds, L=planned.L[at], samples=tuple(planned.samples[j] for j in at.tolist()),
-            gaps=tuple(gaps), last=moved.end - float(moved.nodes[-1]), known_spans=(), again=(), before=(),
-        )  # fmt: skip
-
-    def _gap(self, j: int, h: float, tiny: float) -> GapDynamics:
-        """One gap after sample j, so long."""
-        planned = self.planned
+    def gap(j: int, h: float, tiny: float) -> GapDynamics:
         if abs(planned.gaps[j].length - h) <= tiny:
             return planned.gaps[j]
         key = j, round(h / tiny)
-        if key not in self._made:
+        if key not in known:
             L, following = planned.L[j], planned.L[(j + 1) % len(planned)]
-            self._made[key] = make_gap(self._table, h, L, following, expm_batch(planned.A, [h])[0], self.loss)
-        return self._made[key]
+            known[key] = make_gap(table, h, L, following, expm_batch(planned.A, [h])[0], loss)
+        return known[key]
+
+    def system(moved: AccuracyQuestion) -> SampledSystem:
+        ends = moved.nodes if moved.initial is not None else np.append(moved.nodes, moved.end)
+        tiny, at = 8 * float(np.spacing(np.abs(ends).max())), np.arange(len(moved.nodes)) % len(planned)
+        gaps = tuple(gap(k % len(planned), h, tiny) for k, h in enumerate(np.diff(ends).tolist()))
+        return replace(
+            planned, bounds=moved.bounds, L=planned.L[at], samples=tuple(planned.samples[j] for j in at.tolist()),
+            gaps=gaps, last=moved.end - float(moved.nodes[-1]), known_spans=(), again=(), before=(),
+        )  # fmt: skip
+
+    return system
 
 
 def _worst_times(

@@ -77,6 +77,20 @@ def statements(tree: ast.AST) -> Iterator[ast.Raise]:
                 yield node
 
 
+def raises(text: str) -> Iterator[set[int]]:
+    """The lines of everything that may be a `raise`: what follows further in, and a bracket that closes, belong to it.
+
+    Never more than the statement has; where it has more, the file is parsed.
+    """
+    lines = text.split("\n")
+    for first, line in enumerate(lines):
+        if RAISE.search(line):
+            indent, last = line[: len(line) - len(line.lstrip())], first
+            while last + 1 < len(lines) and re.match(rf"{indent}(\s+\S|[)\]}}])", lines[last + 1]):
+                last += 1
+            yield set(range(first + 1, last + 2))
+
+
 def unraised(paths: Iterable[Path], seen: set[Place]) -> list[str]:
     """Every `raise` in these files in which no line lies that was seen."""
     found, lines_of = [], defaultdict(set)
@@ -84,8 +98,7 @@ def unraised(paths: Iterable[Path], seen: set[Place]) -> list[str]:
         lines_of[name].add(line)
     for path in paths:
         lines, text = lines_of[str(path)], path.read_text()
-        told = (number for number, line in enumerate(text.split("\n"), 1) if RAISE.search(line))
-        if lines.issuperset(told):  # of most files: to parse them all takes a second, in which nothing else is tested
+        if all(lines & places for places in raises(text)):  # of most: to parse all takes a second, and nothing is tested
             continue
         for node in statements(ast.parse(text)):
             if not lines & set(range(node.lineno, (node.end_lineno or node.lineno) + 1)):

@@ -157,7 +157,7 @@ EDGES = {
     "no disturbances": sd.Plant(OSCILLATOR, [[1.0, 0.0]], G=np.zeros((2, 0))),
     "no outputs of states that grow": sd.Plant(np.diag([0.1, 0.2]), np.zeros((1, 2))),
 }
-SCHEDULES = (sd.PeriodicSchedule([0.7, 1.6]), sd.Schedule([0.0, 1.0, 2.5]), sd.Schedule([0.5]))
+SCHEDULES = (sd.PeriodicSchedule([0.7]), sd.Schedule([0.0, 1.0, 2.5]), sd.Schedule([0.5]))
 SMALL = {"w_bound": 0.1, "v_bound": 0.1}
 ASKED = {
     "window_sigma": lambda plant, schedule: sd.window_sigma(plant, schedule, 4.0, timing_tolerance=0.1),

@@ -63,9 +63,7 @@ def info(
             others, counts = f"The other {left} decay by themselves and need", "some of them are counted too"
             if left == 1:
                 others, counts = "The other one decays by itself and needs", "it may be counted too"
-            tables.append(
-                f"To determine the state means here: {means}. {others} no samples; with a larger --decay-rate {counts}."
-            )
+            tables.append(f"Here the state means {means}. {others} no samples; with a larger --decay-rate {counts}.")
         data["counts"] = count.to_dict()
     settings.write_json(data, "info")
     settings.show(data, *tables)

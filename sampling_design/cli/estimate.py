@@ -70,8 +70,7 @@ def estimate(
     record = files.measurements(settings, measurement_file, plant, zero, zone)
     if schedule is not None:
         files.check_origins(record, schedule)
-    if not record.measured.any():
-        raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
+    files.check_measured(record, measurement_file)
     record = record.in_order() if how.leave_out is None else _without(record, how.leave_out)
     certificate = None if certificate_file is None else files.sampling_certificate(certificate_file, plant)
     first = numbers("--prior", prior, plant.states.names)

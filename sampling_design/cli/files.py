@@ -45,6 +45,7 @@ _MIXED = {
     ("schedule", "measurement"): "Its ones say what is to be measured, not what was read.",
     ("plan", "certificate"): "The certificate of a plan is in certificate.json, written beside it.",
     ("design", "schedule"): "The schedule of a design is in schedule.csv, written beside it.",
+    ("plan requirement", "plan"): "`sampling-design plan` makes a plan of it, in plan.json.",
     ("requirement", "plan requirement"): (
         "`design` takes it; a plan requirement says how well what must be known, and `sampling-design new --within` "
         "writes one."
@@ -186,6 +187,12 @@ def check_origins(record: Measurements, schedule: AnySchedule) -> None:
         )
 
 
+def check_measured(record: Measurements, path: Path) -> None:
+    """Refuse measurements none of which was taken."""
+    if not record.measured.any():
+        raise ArgumentError(f"`MEASUREMENTS` {path} holds no measurement.")
+
+
 def holds_interval(path: Path) -> bool:
     """Whether a file claims an interval."""
     try:
@@ -217,7 +224,10 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
             raise FileFormatError(f"{path}: is a folder, expected a file.{slip}", str(path)) from None
         found, where = kind_of(path), str(path)
         if found not in (kind, ""):
-            slip = _MIXED.get((found, kind), "Are the arguments in their order?")
+            beside = path.with_name(_WRITTEN.get(kind, path.name))
+            meant = beside.is_file() and beside != path and kind_of(beside) == kind
+            slip = f"Did you mean {beside}?" if meant else "Are the arguments in their order?"
+            slip = _MIXED.get((found, kind), slip)
             raise FileFormatError(f"{where}: is a {found} file, expected a {kind} file. {slip}", where) from None
         raise
 

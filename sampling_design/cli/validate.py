@@ -120,6 +120,7 @@ def compare(
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window, schedule)
     split = weighed_over(split, length)
+    files.check_measured(record, measurement_file)
     times, taken = record.samples()
     if any(record.censored):
         settings.notice("Limits and means count as taken, and sigma counts them like numbers.")

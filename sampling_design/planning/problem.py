@@ -351,7 +351,8 @@ def _steps(name: str, value: float | str, unit: str, plant: Plant, steps: int, s
 def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -> list[RowGoal]:
     found = []
     for name, goal in requirement.accuracy.items():
-        rows = requested_rows(plant, [name] if goal.row is None else [list(goal.row)])
+        asked, argument = ([name], "accuracy") if goal.row is None else ([list(goal.row)], f"accuracy.{name}.row")
+        rows = requested_rows(plant, asked, argument)
         at = "all times" if goal.at in ("all times", "until the next") else str(goal.at)
         steps = np.zeros(0)
         if not isinstance(goal.at, str):

@@ -67,7 +67,7 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
            [-1.,  0.]])
     """
     where = os.fspath(path)
-    if not Path(where).suffix and not Path(where).exists():
+    if not Path(where).exists():
         from sampling_design.plants.library import PLANTS
 
         if where in PLANTS:

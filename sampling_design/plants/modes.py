@@ -120,9 +120,9 @@ class ModalSplit(TableRecord, PlainRecord):
         if not self.near_line.size:
             return said
         kept = np.isin(self.near_line, np.concatenate([cluster.members for cluster in self.retained_clusters])).all()
-        consequence = "they are observed, the safe side" if kept else "some of them are left to decay"
-        many = counted(self.near_line.size, "eigenvalue")
-        return f"{said} For {many} rounding does not tell on which side of that rate: {consequence}."
+        consequence = "retained, which is the safe side" if kept else "not all of them retained"
+        many, verb = self.near_line.size, "lies" if self.near_line.size == 1 else "lie"
+        return f"{said} {counted(many, 'eigenvalue')} {verb} at that rate within rounding: {consequence}."
 
 
 def _listed(clusters: object) -> str:

@@ -98,9 +98,11 @@ def _nearby(where: str) -> str:
     """The file in the same folder that may have been meant."""
     with suppress(OSError, ValueError):
         names = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
-        name = Path(where).name
-        stems = {Path(each).stem: each for each in sorted(names, reverse=True)}  # an ending makes no two names alike
-        near = name if name in stems else nearest(Path(name).stem, stems)
+        name, stem, ending = Path(where).name, Path(where).stem, Path(where).suffix
+        # an ending makes no two names alike, and a name with another ending must be the same
+        named = [each for each in names if Path(each).suffix == ending or Path(each).stem in (name, stem) or not ending]
+        stems = {Path(each).stem: each for each in sorted(named, reverse=True)}
+        near = name if name in stems else nearest(stem, stems)
         return f" Did you mean {stems[near]}?" if near else ""
     return ""
 

@@ -28,10 +28,15 @@ def check_time_unit(unit: object, name: str = "time_unit") -> str:
         raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")
     if not is_text(unit) or unit not in SECONDS:
         came = repr(unit) if is_text(unit) else described(unit)
-        likely = next((u for u, word in WORDS.items() if is_text(unit) and unit.lower().startswith(word)), None)
-        slip = "" if likely is None else f" Did you mean {likely!r}?"
+        slip = likely_unit(unit) if is_text(unit) else ""
         raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {came}.{slip}")
     return str(unit)
+
+
+def likely_unit(word: str) -> str:
+    """The question which unit a word that is none may mean, or ""."""
+    meant = next((unit for unit, name in WORDS.items() if word.lower().startswith(name)), None)
+    return "" if meant is None else f" Did you mean {meant!r}?"
 
 
 def time_factor(source: str, target: str) -> float:

@@ -141,6 +141,8 @@ def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
         does not fit; the message names the line.
     """
     where = os.fspath(path)
+    if Path(path).suffix and not Path(path).exists():
+        read_text(path)  # says so, and what may have been meant
     ending = _ending(path)
     text = read_text(path)
     if ending == ".csv":

@@ -34,7 +34,7 @@ from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import by_first, by_kind, csv_rows, read_text
 from sampling_design.records.record import Plain, PlainRecord, moment, short
-from sampling_design.records.units import SECONDS, time_factor
+from sampling_design.records.units import SECONDS, likely_unit, time_factor
 from sampling_design.schedules.opening import OpeningCalendar, week_hours
 
 Duration: TypeAlias = float | str
@@ -58,7 +58,8 @@ def duration(name: str, value: object, unit: str) -> float:
     found = _DURATION.fullmatch(value.strip())
     length = float(found[1]) * (SECONDS[found[2]] / SECONDS[unit]) if found and found[2] in SECONDS else 0.0
     if not 0 < length < np.inf:
-        raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
+        unknown = likely_unit(found[2]) if found and found[2] not in SECONDS else ""
+        raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.{unknown}')
     return length
 
 

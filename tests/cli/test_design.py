@@ -244,11 +244,11 @@ def test_where_to_write_is_settled_before_anything_is_designed(shell, tmp_path, 
 def test_info_says_what_determining_the_state_means_where_most_of_it_decays(shell, tmp_path):
     sd.plants.write_plant(sd.Plant(np.diag([0.0, -1.0, -2.0, -3.0]), np.ones((1, 4))), tmp_path / "plant.toml")
     told = " ".join(shell("info", tmp_path / "plant.toml").out.split())
-    assert "To determine the state means here: its one retained direction. The other 3 decay by themselves" in told
+    assert "Here the state means its one retained direction. The other 3 decay by themselves" in told
     sd.plants.write_plant(sd.Plant(np.diag([0.0, 0.1, -3.0]), np.ones((1, 3))), tmp_path / "two.toml")
     told = " ".join(shell("info", tmp_path / "two.toml").out.split())
     assert "its 2 retained directions. The other one decays by itself and needs no samples" in told
-    assert "To determine the state means" not in shell("info", EXAMPLES / "plants" / "oscillator.toml").out
+    assert "Here the state means" not in shell("info", EXAMPLES / "plants" / "oscillator.toml").out
 
 
 def required(tmp_path, text):

@@ -132,6 +132,8 @@ FILES = {
     "yes.csv": HAND + "time,position\n0.5,yes\n",
     "dates.csv": HAND + "date,position\n2026-03-02,1\n",
     "m.csv": DATA,
+    "empty.csv": DATA.splitlines()[0] + "\n",
+    "certificate.json": '{"format": "sampling-design/certificate/1"}',
     "dated.csv": "date,position\n2026-03-16 08:00,0.2\n2026-03-16 08:01,0.1\n",
 }
 LINES = {
@@ -160,6 +162,8 @@ LINES = {
         "info satelite",
         "A plant of the library needs no file. Did you mean 'satellite'?",
     ),
+    "a file beside the one that is meant": ("verify s.csv", "Did you mean certificate.json?"),
+    "a form that nobody filled in": ("compare p.toml s.csv empty.csv", "`MEASUREMENTS` empty.csv holds no measurement"),
     "a design for its schedule": ("certify p.toml design.json", "The schedule of a design is in schedule.csv"),
     "a requirement for a plan's": ("plan p.toml r.toml", "`sampling-design new --within` writes one"),
     "a plan without its format": ("plan p.toml plan.toml", 'line format = "sampling-design/plan-requirement/1"'),
@@ -226,6 +230,15 @@ CALLS = {
             sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=-1.0
         ),
         "`v_bound`",
+    ),
+    "a goal misspelt": (
+        lambda: sd.plan_samples(
+            sd.named_plant("oscillator"),
+            sd.PlanRequirement(
+                {"positon": 1.0}, grid=1.0, period=8.0, w_bound=0.1, sensors={"position": {"noise_bound": 0.1}}
+            ),
+        ),
+        "`accuracy` must name states or outputs, got 'positon'. Did you mean 'position'?",
     ),
     "a misspelt name": (lambda: sd.desing_schedule, "design_schedule"),
     "a complex matrix": (lambda: sd.Plant([[1j]], [[1.0]]), "real"),

@@ -421,6 +421,7 @@ def test_more_refusals_at_the_door():
         ((10.0, [np.nan, np.nan], None), "`y` must measure at least one output"),
         ((10.0, [np.inf, 0.0], None), "`y` must be finite or NaN"),
         ((10.0, "low", None), "`y` must hold numbers"),
+        ((10.0, ["<0.5"], None), r"`y` must hold numbers, .* A limit of detection is BelowDetection\(0\.5\) or Above"),
         ((10.0, None, None), "`y` and `u` are both missing"),
         ((10.0, [0.1, 0.1], [np.nan]), "`u` must not hold NaN"),
         ((10.0, [0.1, 0.1], [1.0, 2.0]), "`u` must have 1 entry"),

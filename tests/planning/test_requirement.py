@@ -34,6 +34,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
         ({"sensors": {"p": 3}}, "`sensors.p` must be a table of keys and values"),
         ({"sensors": {"p": {"prize": 3}}}, "Did you mean 'price'"),
         ({"grid": "15 parsec"}, "`grid` must be a time like 0.25 or"),
+        ({"grid": "15 hours"}, """`grid` must be a time like 0.25 or "15 min", got '15 hours'. Did you mean 'h'?"""),
         ({"grid": "1e400 min"}, "`grid` must be a time like 0.25 or"),
         ({"aim": "most accurate"}, "`aim` is most accurate, which needs `samples` or `cost_limit`"),
         (

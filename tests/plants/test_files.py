@@ -210,10 +210,13 @@ def test_an_array_beyond_the_memory_is_named(tmp_path, monkeypatch):
 
 def test_unknown_suffixes_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match=r"the suffix must be one of \.toml, \.json, \.mat, \.npz, got '\.csv'"):
-        read_plant(tmp_path / "plant.csv")
+        write_plant(library.oscillator(), tmp_path / "plant.csv")
     with pytest.raises(FileFormatError, match=r"the suffix must be one of .*, got none"):
         write_plant(library.oscillator(), tmp_path / "plant")
     assert not list(tmp_path.iterdir())
+    (tmp_path / "plant.csv").write_text("")
+    with pytest.raises(FileFormatError, match=r"the suffix must be one of \.toml, \.json, \.mat, \.npz, got '\.csv'"):
+        read_plant(tmp_path / "plant.csv")
 
 
 def test_a_missing_file_is_named(tmp_path):

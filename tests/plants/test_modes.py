@@ -143,7 +143,7 @@ def test_a_cluster_with_members_on_both_sides_is_retained_whole_and_reported():
 def test_table_and_words_name_the_eigenvalues():
     split = split_modes(library.cart_pendulum())
     assert "5.56796, 0" in str(split)
-    assert "For 1 eigenvalue rounding does not tell on which side" in split.explain()
+    assert "1 eigenvalue lies at that rate within rounding" in split.explain()
     assert repr(split).startswith("ModalSplit(retained=2 of 4 states, line=Re >= 0 1/s")
     assert "(x2, index 2)" in str(split_modes(library.double_integrator()))
 
@@ -196,11 +196,8 @@ def test_a_stiff_mode_hides_no_slow_one():
 @pytest.mark.parametrize(
     ("offset", "words"),
     [
-        (
-            None,
-            "For 1 eigenvalue rounding does not tell on which side of that rate: they are observed, the safe side.",
-        ),
-        (0.0, "For 1 eigenvalue rounding does not tell on which side of that rate: some of them are left to decay."),
+        (None, "1 eigenvalue lies at that rate within rounding: retained, which is the safe side."),
+        (0.0, "1 eigenvalue lies at that rate within rounding: not all of them retained."),
     ],
 )
 def test_what_lies_at_the_line_is_said_in_words(offset, words):

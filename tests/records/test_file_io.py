@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sampling_design import read_plant
+from sampling_design import read_plant, read_schedule
 from sampling_design.checkers import strict
 from sampling_design.errors import FileFormatError
 from sampling_design.records import file_io
@@ -159,8 +159,16 @@ def test_what_no_one_means_is_one_sentence(reader, text):
 @pytest.mark.parametrize(("asked", "near"), [("nope.toml", ""), ("osk.toml", "osc.toml"), ("osc.json", "osc.toml")])
 def test_a_file_that_is_missing_suggests_none_that_shares_its_ending_only(tmp_path, asked, near):
     (tmp_path / "osc.toml").write_text("")
+    (tmp_path / "nopen.py").write_text("")
     with pytest.raises(FileFormatError, match=rf"no such file\.{f' Did you mean {near}.' if near else ''}$"):
         read_plant(tmp_path / asked)
+
+
+@pytest.mark.parametrize("reader", [read_plant, read_schedule])
+def test_a_file_whose_ending_is_a_slip_is_missing_first(tmp_path, reader):
+    (tmp_path / "osc.csv").write_text("")
+    with pytest.raises(FileFormatError, match=r"osc\.cvs: no such file\. Did you mean osc\.csv\?$"):
+        reader(tmp_path / "osc.cvs")
 
 
 def test_a_text_that_is_too_large_is_refused_before_it_is_read(monkeypatch):

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import CensoredReading, RecordRow, at_some_time, time_or_span, with_censored
-from sampling_design.checkers.strict import is_list, is_number
+from sampling_design.checkers.strict import is_list, is_number, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
@@ -19,7 +19,7 @@ from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
 from sampling_design.estimators.records.frames import is_frame
-from sampling_design.estimators.records.measurement_table import MeasuredPlant
+from sampling_design.estimators.records.measurement_table import LIMITS, MeasuredPlant
 from sampling_design.estimators.records.measurements import Measurements, read_measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -231,7 +231,8 @@ class OnlineEstimator(Displayable, ABC):
                 raise TypeError
             y = np.array(given, dtype=np.float64, ndmin=1)
         except (TypeError, ValueError):
-            raise ArgumentError(f"`y` must hold numbers, got {checks.described(value)} at t = {t!r}.") from None
+            limit = " A limit of detection is BelowDetection(0.5) or AboveRange(8)." if _has_limit(value) else ""
+            raise ArgumentError(f"`y` must hold numbers, got {checks.described(value)} at t = {t!r}.{limit}") from None
         p = self.plant.n_outputs
         if y.shape != (p,):
             raise ArgumentError(f"`y` must have {p} entr{'y' if p == 1 else 'ies'}, got shape {y.shape} at t = {t!r}.")
@@ -407,6 +408,11 @@ class OnlineEstimator(Displayable, ABC):
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
         return EstimateRecord.collect(self.plant, found, origin)
+
+
+def _has_limit(value: object) -> bool:
+    """Whether readings hold a limit of detection as a file writes it, "<0.5"."""
+    return any(is_text(each) and each.strip()[:1] in LIMITS for each in (value if is_list(value) else [value]))
 
 
 def _touched(state: EstimatorState, t: float) -> list[int]:

@@ -90,7 +90,7 @@ class ZeroCountBound(SampleCount):
     _answers = (
         "how many samples in a window of {duration} {time_unit} determine the state, whatever their times",
         "{claim.evidence}",
-        "{samples} do ({binding}), fewer than {samples_least} never do",
+        "{samples} are enough ({binding}), fewer than {samples_least} never are",
         "`window_sigma` of any such schedule is positive",
     )
     _table = {

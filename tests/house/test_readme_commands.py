@@ -68,7 +68,7 @@ def test_the_flags_that_the_readme_gives_to_every_command_are_those_that_every_c
 
     flags = {name: {flag for option in loaded(name).params for flag in option.opts} for name in COMMANDS}
     told = re.search(
-        r"^Each takes (.*?), all but `new` take `-o DIR`, and each takes those of (.*?)that", README, flags=re.M | re.S
+        r"^Each takes (.*?), and all but `new` take `-o DIR`(.*?) are there where", README, flags=re.M | re.S
     )
     named = [set(re.findall(r"`(--[a-z-]+)", part)) for part in told.groups()]
     assert named[0] == set.intersection(*flags.values()) - {"--version"}

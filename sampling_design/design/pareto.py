@@ -50,7 +50,7 @@ _POINTS = list_of(
             "times": list_of(number),
             "obstacle": text,
         },
-        {"deviations": or_nothing(_LEFT)},
+        {"deviations": or_nothing(_LEFT), "coordinates": text},
     )
 )
 
@@ -59,7 +59,8 @@ _POINTS = list_of(
 class ParetoPoint:
     """One count of samples: proven sigma, the bound that none can beat, and the times; sigma 0 where impossible.
 
-    `deviations` says what is left of sigma if samples come early or late or one is lost.
+    `deviations` says what is left of sigma if samples come early or late or one is lost, `coordinates` which ones all
+    of these refer to ("" where there is no design).
     """
 
     samples: int
@@ -68,6 +69,7 @@ class ParetoPoint:
     times: tuple[float, ...]
     obstacle: str = ""
     deviations: SigmaDeviations | None = None
+    coordinates: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,7 +84,12 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
 
     points: tuple[ParetoPoint, ...]
 
-    _plain = "points{samples sigma upper_bound deviations times obstacle}"
+    _plain = "points{samples sigma upper_bound deviations times obstacle coordinates}"
+
+    @property
+    def coordinates(self) -> str:
+        """Which coordinates sigma refers to; "" where nothing is designed."""
+        return next((point.coordinates for point in self.points if point.coordinates), "")
 
     @property
     def efficient(self) -> tuple[ParetoPoint, ...]:
@@ -105,13 +112,15 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
         return self.points
 
     def _rows(self) -> list[tuple[str, str]]:
-        return [
+        rows = [
             (
                 counted(p.samples, "sample"),
                 p.obstacle or f"sigma {below(p.sigma)}, none exceeds {above(p.upper_bound)}{_left(p)}",
             )
             for p in self.points
         ]
+        where = f"{self.coordinates} coordinates, state at the window's start"
+        return [*rows, ("sigma refers to", where)] if self.coordinates else rows
 
     def explain(self) -> str:
         """Say what more samples buy."""
@@ -236,7 +245,9 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
         return ParetoPoint(count, 0.0, 0.0, (), NO_NEED)
     obstacle_found = "" if design.sigma > 0 else design.explain()
     times = tuple(design.schedule.times.tolist())
-    return ParetoPoint(count, design.sigma, design.upper_bound, times, obstacle_found, design.deviations)
+    return ParetoPoint(
+        count, design.sigma, design.upper_bound, times, obstacle_found, design.deviations, design.coordinates
+    )
 
 
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:

@@ -48,7 +48,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError, Progress
-from sampling_design.records.record import short
+from sampling_design.records.record import above, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 
@@ -340,14 +340,19 @@ class _Planning:
         best = self.feasible.sharpest(rival.incumbents, best)
         best.require_bounded()
         if best.worst > 1:
-            text, what = "No plan with these spacings and uses was found that keeps the tolerances", "spacing"
+            text, what, digits = (
+                "No plan with these spacings and uses was found that keeps the tolerances",
+                "spacing",
+                6,
+            )
             if self.problem.unspaced:
                 text, what = "The tolerances are too close to the least that can be kept for a proof", "accuracy"
-            raise InfeasibleRequirementError(
-                f"{text}: {best.worst:.10g} times as large ones can be kept.",
-                what,
-                {g.name: g.tolerance * best.worst * (1 + 4 * MARGIN) for g in self.problem.goals},
+            near = {g.name: g.tolerance * best.worst * (1 + 4 * MARGIN) for g in self.problem.goals}
+            kept = ", ".join(
+                f"{g.name} {above(near[g.name])} instead of {short(g.tolerance)}" for g in self.problem.goals
             )
+            slip = "" if self.problem.unspaced else " Ask for that, or for smaller spacings or a larger `longest_use`."
+            raise InfeasibleRequirementError(f"{text}: {kept} can be kept.{slip}", what, near)
         return self._record(best, PlanBound((), None, None))
 
     def _better(self, best: ProvenChoice, cost: float) -> PlanSearch:

@@ -156,7 +156,13 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     style.from_below(ax, min(least), float(bound.max()))
     _whole_counts(ax)
     ends = (f"{counted(p.samples, 'sample')}: sigma {below(p.sigma, 4)}" for p in (points[0], points[-1]))
-    return style.finished(ax, "sigma", "; ".join(dict.fromkeys(ends)))
+    coordinates = next((p.coordinates for p in points if p.coordinates), "physical")
+    return style.finished(ax, _sigma_label(coordinates), "; ".join(dict.fromkeys(ends)))
+
+
+def _sigma_label(coordinates: str) -> str:
+    """Sigma, and what it refers to."""
+    return f"sigma ({'' if coordinates == 'physical' else f'{coordinates}, '}state at window's start)"
 
 
 def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
@@ -218,9 +224,8 @@ def draw_window_sigma(
     least = min(result.lower, draw_deviations(result.deviations, ax) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
-    kind = "state at window's start" if result.coordinates == "physical" else f"{result.coordinates}, at start"
     title = f"sigma is at least {below(result.lower, 4)} in every window"
-    return style.finished(ax, f"sigma ({kind})", title, columns)
+    return style.finished(ax, _sigma_label(result.coordinates), title, columns)
 
 
 def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:

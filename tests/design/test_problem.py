@@ -175,7 +175,7 @@ def test_a_plant_whose_outputs_are_never_there_long_enough_is_offered_longer_hou
 def test_the_capacity_is_the_most_by_enumeration():
     from itertools import combinations
 
-    grid = np.arange(20) / 5
+    grid = np.arange(16) / 4
     for forbidden in ([[0.4, 1.0]], [[0.0, 0.6], [2.0, 3.0]], [[1.0, 1.2], [3.4, 4.0]]):
         asked = Requirement(window=4.0, spacing=0.6, samples=2, forbidden=forbidden)
         requirement = resolve(split_modes(OSCILLATOR), asked).requirement

@@ -35,7 +35,7 @@ def plant_of(slow, n, slowest=2.0):
     ("slow", "n", "schedule"),
     [
         pytest.param("oscillator", 16, PERIODIC, marks=pytest.mark.long),
-        ("growing", 16, Schedule(np.arange(1.0, 6.0))),
+        ("growing", 16, Schedule(np.arange(1.0, 4.0))),
         pytest.param("growing", 20, Schedule(np.arange(1.0, 13.0)), marks=pytest.mark.long),
         pytest.param("growing", 16, PERIODIC, marks=pytest.mark.long),
         pytest.param("oscillator", 40, PERIODIC, marks=pytest.mark.long),

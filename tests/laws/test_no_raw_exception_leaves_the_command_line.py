@@ -29,7 +29,7 @@ QUICK = {"info", "verify", "compare"}
 def test_what_is_wrong_with_a_command_line_is_said(tmp_path, monkeypatch):
     """Something wrong in each, drawn from the arguments and options that the commands declare."""
     monkeypatch.chdir(tmp_path)
-    lines = [line for line in command_lines.wrong(100, 8) if line[0] in QUICK][:3]
+    lines = [line for line in command_lines.wrong(20, 8) if line[0] in QUICK][:3]
     assert raw(lines) == {}
 
 

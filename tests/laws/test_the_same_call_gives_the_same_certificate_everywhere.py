@@ -1,5 +1,6 @@
 """What `certify` finds depends on its arguments alone: work is counted, so that a slow machine finds the same bits."""
 
+import functools
 import json
 import time
 
@@ -54,8 +55,13 @@ def test_a_search_ends_where_its_work_does(monkeypatch):
     assert any(message == f"rate {found:.3g}" for message in met)
 
 
+@functools.cache
+def made():
+    return certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6)).to_dict()
+
+
 def test_a_check_ends_where_its_work_does():
-    data = certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6)).to_dict()
+    data = made()
     short = verdict_of(data, WorkLimit(100.0))
     assert short.verdict == "undecided"
     assert "it takes more work than one check may do" in short.reason
@@ -72,7 +78,7 @@ def test_what_a_share_spends_counts_for_the_whole():
 
 
 def test_balls_end_where_their_work_does():
-    data = certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6)).to_dict()
+    data = made()
     short = verify_rigorously(data, work=WorkLimit(100.0))
     assert short.verdict == "undecided"
     assert short.reason == "it takes more work than was handed over"

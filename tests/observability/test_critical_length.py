@@ -39,8 +39,8 @@ def test_real_spectrum_has_no_critical_length():
 @pytest.mark.parametrize(("eigenvalues", "expected"), few(TABLE[1:], 0))
 def test_minors_in_fifty_digits_agree(eigenvalues, expected):
     """Nothing vanishes before, and the same minor is found on a grid around the value."""
-    assert oracle.minor_zero(eigenvalues, expected * 0.05, expected * 0.99, 60) is None
-    near = oracle.minor_zero(eigenvalues, expected * 0.99, expected * 1.01, 200)
+    assert oracle.minor_zero(eigenvalues, expected * 0.05, expected * 0.99, 40) is None
+    near = oracle.minor_zero(eigenvalues, expected * 0.99, expected * 1.01, 120)
     assert near == pytest.approx(expected, rel=2e-4)
 
 

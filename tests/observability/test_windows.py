@@ -85,7 +85,7 @@ def test_dip_narrower_than_the_first_grid():
         for part in (0.25, 0.5, 0.75)
     ]
     ends = profile.start[0], profile.end[-1]
-    least, *_ = scan_windows(plant.A, plant.C, times, None, 4.0, *ends, 1500)
+    least, *_ = scan_windows(plant.A, plant.C, times, None, 4.0, *ends, 600)
     assert result.closed
     assert result.lower <= least * (1 + 1e-9)
     assert 0.99 * result.upper <= least

@@ -60,7 +60,7 @@ def test_what_nothing_drives_is_known_as_a_linear_program_says(name, gaps, unit,
         ages = np.unique(
             np.concatenate([past, *(past + k * steps.sum() for k in range(1, 1 + before.size // steps.size))])
         )
-        for d in np.linspace(0.0, h, 17):
+        for d in np.linspace(0.0, h, 9):
             worst = max(worst, undriven(A, [c], ages + d, row, 0.1 * unit))
     below, above = float(found.lower[0]), float(found.upper[0])
     assert below <= worst * (1 + 1e-6)

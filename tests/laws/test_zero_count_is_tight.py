@@ -31,7 +31,7 @@ def test_a_state_with_prescribed_zeros_never_has_more_than_the_bound():
         zeros = np.sort(rng.uniform(0.0, T, len(spectrum) - 1))
         x = oracle.state_with_zeros(A, C, zeros)
         bound = zero_count_bound(Plant(A, C), T)
-        found = oracle.count_zeros(A, C, x, T, points=400)
+        found = oracle.count_zeros(A, C, x, T, points=200)
         assert len(zeros) <= found <= bound.value + 1e-9
         reached += found == int(np.floor(bound.value))
     assert reached >= 3  # where it is reached, one sample less would not do

@@ -25,7 +25,7 @@ def wanted(**more):
 
 @pytest.fixture(scope="module")
 def plan():
-    return sd.plan_samples(LEVELS, wanted(), search_seconds=2, **BARE)
+    return sd.plan_samples(LEVELS, wanted(), search_seconds=0.5, **BARE)
 
 
 @pytest.fixture(scope="module")

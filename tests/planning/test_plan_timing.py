@@ -199,7 +199,7 @@ def test_where_nothing_bounds_what_late_samples_do_no_plan_is_made():
         {"x1": 9.0}, period=4.0, grid=2.0, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}, timing_tolerance=0.9
     )
     with pytest.raises(UndecidedError, match="no plan was proven at all times within `timing_tolerance`"):
-        sd.plan_samples(growing, wanted, search_seconds=1.0)
+        sd.plan_samples(growing, wanted, search_seconds=0.2)
 
 
 TWO = sd.Plant(PLANT.A, np.eye(2), states=["position", "velocity"], outputs=["fix", "speed"])

@@ -87,12 +87,12 @@ def _as_typed(drawn: object) -> None:
     from matplotlib.axis import Axis
     from matplotlib.mathtext import MathTextParser
     from matplotlib.text import Text
-    from matplotlib.ticker import FixedFormatter
+    from matplotlib.ticker import FixedLocator
 
     artists = [np.ravel(np.asarray(drawn, dtype=object))[0].figure]
     for artist in artists:
         # what stands at other ticks are numbers and dates, and to ask for them makes them all
-        bare = isinstance(artist, Axis) and not isinstance(artist.get_major_formatter(), FixedFormatter)
+        bare = isinstance(artist, Axis) and not isinstance(artist.get_major_locator(), FixedLocator)
         artists += [artist.label] if bare else artist.get_children()
     for text in artists:
         if isinstance(text, Text) and text.get_text().count("$") > 1:

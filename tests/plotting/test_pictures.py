@@ -79,6 +79,16 @@ def test_a_name_with_dollars_is_a_formula_or_stands_as_it_was_typed(name, formul
     assert all(each.get_parse_math() is formula for each in labels)
 
 
+def test_so_it_does_where_it_stands_at_a_tick(tmp_path):
+    schedule = sd.PeriodicSchedule([1.0, 2.0], outputs=[[1, 0], [1, 1]], output_names=[r"$\foo$", "$x_1$"])
+    ax = np.ravel(schedule.plot())[0]
+    ax.figure.savefig(tmp_path / "named.png", dpi=30)
+    assert {each.get_text(): each.get_parse_math() for each in ax.get_yticklabels()} == {
+        r"$\foo$": False,
+        "$x_1$": True,
+    }
+
+
 def test_a_design_has_two_rows_and_its_bounds(tmp_path):
     design = sd.design_schedule(
         OSCILLATOR, sd.Requirement(window=4.0, samples=3, forbidden=[[1.0, 1.5]]), starts=1, branches=1

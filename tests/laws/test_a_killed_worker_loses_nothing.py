@@ -9,6 +9,7 @@ from base64 import b64encode
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -72,17 +73,13 @@ class Cluster(Executor):
         if fate == "cancelled":
             future.cancel()
             future.set_running_or_notify_cancel()
+        elif fate == "killed":
+            future.set_exception(import_module("distributed").KilledWorker("job", None, 3))
         elif isinstance(fate, Exception):
             future.set_exception(fate)
         elif fate == "done":
             future.set_result(function(*args))
         return future
-
-
-def killed():
-    from distributed import KilledWorker
-
-    return KilledWorker("job", None, 3)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +106,7 @@ def killed():
             "the Dask cluster has had no worker for 0.1 s, with 1 of 3 jobs left. What was finished is kept",
         ),
         (
-            [killed(), "done", "done"],
+            ["killed", "done", "done"],
             1,
             "the jobs that are left killed every worker .* with 1 of 3 jobs left. What was finished is kept",
         ),

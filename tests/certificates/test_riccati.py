@@ -4,15 +4,18 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.certificates.exact import riccati
 from sampling_design.certificates.exact.riccati import (
     at_peak,
     located,
     periodic_riccati_solution,
+    refine,
     supremum,
     sweep,
 )
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.certificates.families.certify_family import certify_family
+from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.numerics.filtering import joint_update, measurement_update, propagate
 from sampling_design.plants.plant import Signals
@@ -127,6 +130,32 @@ def test_located_finds_the_window_again():
     assert (again.index, again.step) == (peak.index, peak.step)
     assert again.remaining == pytest.approx(peak.remaining)
     assert again.fraction == pytest.approx(peak.fraction)
+    assert again.value == pytest.approx(peak.value)
+
+
+def lingering():
+    """A slow chain that is hardly measured or driven: windows rise for a hundred samples, and settle below."""
+    plant = Plant([[-0.01, 0.05], [0.0, -0.01]], [[1e-3, 0.0]], G=1e-4 * np.eye(2))
+    return window_problem(plant, PeriodicSchedule([1.0]), np.eye(2), np.eye(2), np.eye(1), np.eye(1), 1e-3)
+
+
+def test_a_window_that_is_located_after_many_samples_has_its_value():
+    """No finer look is taken there: without a value the proof would be tried again with the same lambda."""
+    problem = lingering()
+    far = located(problem, 0.0, 300.0)
+    assert far.step > riccati.LONGEST_REFINED
+    assert (
+        refine(problem, far, 0.0).value == far.value == pytest.approx(np.linalg.eigvalsh(at_peak(problem, far)[0])[-1])
+    )
+
+
+def test_where_the_work_ends_before_the_peak_the_highest_window_is_followed_further():
+    problem = lingering()
+    whole, short = supremum(problem), supremum(problem, work=(work := WorkLimit(1e4)))
+    assert work.over
+    assert 100 > whole[0].step > 80
+    values = [peak.value for peak in whole]
+    assert [peak.value for peak in short] == pytest.approx(values, rel=riccati.ATTAINED_RTOL)
 
 
 def test_a_finite_schedule_ends_its_windows():

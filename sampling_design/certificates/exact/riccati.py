@@ -6,7 +6,7 @@ Windows run side by side in one batch: each step is one sample update and one ga
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
@@ -41,6 +41,7 @@ ATTAINED_RTOL = 2e-4  # how near to the periodic solution a window is followed; 
 SAME_START = 1e-9
 """A window whose start is this near that of a sample, relative to the gap, is its window: times are rounded."""
 LONGEST_RUN = 20_000  # samples along which a window is followed towards the periodic solution
+FURTHER = 4  # times as far as all windows together, where those took too much work, the one that had come highest is
 START_CELLS = 5
 MIN_STARTS = 16
 """Inner starts: START_CELLS - 1 per gap, and at least about this many per period."""
@@ -293,12 +294,21 @@ def supremum(problem: WindowProblem, finer: int = 1, work: WorkLimit | None = No
     starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
     peaks = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, work=work)
     own, others = peaks[: index.size], peaks[index.size :]
+    if steady is not None and work is not None and work.over:  # what still rises is followed alone
+        rising = (max(some, key=attrgetter("value")) for some in (own, [*own, *others]))
+        own, others = ([_followed_further(problem, peak, steady)] for peak in rising)
     if steady is not None:
         own.append(long_run(problem, steady, max(own, key=attrgetter("value")), work))
     at_sample = refine(problem, max(own, key=attrgetter("value")), 0.0, 1 / parts.size, work)
     anywhere = max([*others, at_sample], key=attrgetter("value"))
     anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size, work)
     return max(anywhere, at_sample, key=attrgetter("value")), at_sample
+
+
+def _followed_further(problem: WindowProblem, peak: RiccatiPeak, steady: Array) -> RiccatiPeak:
+    """The peak of the same window after `FURTHER` times as many samples, if it is higher."""
+    last, at = min(FURTHER * (peak.step + 1), MAX_STEPS), (np.array([peak.index]), np.array([peak.remaining]))
+    return max(peak, *sweep(problem, *at, steady=steady, last_step=last), key=attrgetter("value"))
 
 
 def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: WorkLimit | None = None) -> RiccatiPeak:
@@ -338,17 +348,19 @@ def refine(
 
 
 def located(problem: WindowProblem, start: float, t: float) -> RiccatiPeak:
-    """Return the window that starts at `start`, at time `t`, as a peak without value."""
+    """Return the window that starts at `start`, at time `t`, as a peak with the value that is attained there."""
     periods = 1 if problem.period is None else int(t / problem.period) + 2
     times = (problem.times + (problem.period or 0.0) * np.arange(periods)[:, None]).ravel()
     first = int(np.searchsorted(times, start * (1 + 1e-12), side="right"))
     index = first % problem.count
     remaining = float(min(times[first] - start, problem.reach[index]))
     if t <= times[first]:
-        return RiccatiPeak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
-    last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
-    gap = problem.gaps[last % problem.count]
-    return RiccatiPeak(0.0, index, remaining, last - first - 1, 1.0 - min(max((times[last] - t) / gap, 0.0), 1.0))
+        found = RiccatiPeak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
+    else:
+        last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
+        left = min(max((times[last] - t) / problem.gaps[last % problem.count], 0.0), 1.0)
+        found = RiccatiPeak(0.0, index, remaining, last - first - 1, 1.0 - left)
+    return replace(found, value=float(np.linalg.eigvalsh(at_peak(problem, found)[0])[-1]))
 
 
 def starts_at_sample(problem: WindowProblem, peak: RiccatiPeak) -> bool:

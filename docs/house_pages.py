@@ -4,6 +4,7 @@
   number of its section. What begins with *Proof* becomes a quieter one.
 * **Solution.** begins a part that stays folded until the next exercise.
 * A picture that a cell has drawn gets an alternative text: the heading it stands under, and what its axes say.
+* A command that is longer than its line breaks between words, and not within an option or a date.
 * "theory 3.1" and "E4" in a docstring lead to the theory.
 """
 
@@ -17,6 +18,8 @@ CLAIM = re.compile(r"(Definition|Assumption|Theorem|Lemma|Proposition|Corollary|
 ERRATUM = re.compile(r"E\d+ ")
 PROOF = re.compile(r"Proof\b")
 NUMBER = re.compile(r"(\d+(?:\.\d+)*)\s")
+
+LONGEST_WORD = 60  # characters of a command's word that is shown unbroken: a longer one may be wider than a page
 
 
 def boxes(app, doctree):
@@ -154,6 +157,30 @@ def _text(keyword):
     return isinstance(keyword.value, ast.Constant) and isinstance(keyword.value.value, str)
 
 
+def whole_words(body):
+    """Keep each word of a command on one line: a browser breaks `--open 7-22` at any of its hyphens."""
+    gap = r'(<span class="w">[^<]*</span>|\n)'
+
+    def block(found):
+        parts = re.split(gap, found[2])
+        words = (f'<span class="word">{part}</span>' if _short(part) else part for part in parts[::2])
+        return found[1] + "".join(word + space for word, space in zip(words, [*parts[1::2], ""], strict=True))
+
+    return re.sub(
+        r'(<div class="highlight-sh\b[^>]*><div class="highlight"><pre>)(.*?)(?=</pre>)', block, body, flags=re.S
+    )
+
+
+def _short(html):
+    return 0 < len(re.sub(r"<[^>]*>", "", html)) <= LONGEST_WORD
+
+
+def unbroken_commands(app, pagename, templatename, context, doctree):
+    """Show the commands of a page with whole words."""
+    if "body" in context:
+        context["body"] = whole_words(context["body"])
+
+
 def section_labels(theory):
     """Return {section number: label} of the theory's pages."""
     found = {}
@@ -184,4 +211,5 @@ def setup(app):
     app.connect("doctree-read", boxes)
     app.connect("doctree-read", solutions)
     app.connect("doctree-read", alternative_texts)
+    app.connect("html-page-context", unbroken_commands)
     return {"parallel_read_safe": True}

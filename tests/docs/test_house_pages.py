@@ -96,3 +96,19 @@ def test_no_heading_holds_tex():
     pages = [p for p in DOCS.rglob("*.md") if not {"_build", "made", "_static"} & set(p.relative_to(DOCS).parts)]
     found = [line for p in pages for line in re.findall(r"^#+ .*\$.*$", p.read_text(), re.MULTILINE)]
     assert found == []
+
+
+def test_a_command_breaks_between_its_words_only(house):
+    space, head = '<span class="w"> </span>', '<div class="highlight-sh notranslate"><div class="highlight"><pre>'
+    day = '<span class="m">7</span>-22'
+    body = f"<p>--open</p>{head}new{space}--open{space}{day}\n{'x' * 100}\n</pre></div></div>"
+    shown = house.whole_words(body)
+    words = [f'<span class="word">{word}</span>' for word in ("new", "--open", day)]
+    assert shown == f"<p>--open</p>{head}{space.join(words)}\n{'x' * 100}\n</pre></div></div>"
+    python = body.replace("highlight-sh", "highlight-python")
+    assert house.whole_words(python) == python
+    context = {"body": body}
+    house.unbroken_commands(None, "index", "page.html", context, None)
+    assert context == {"body": shown}
+    house.unbroken_commands(None, "search", "search.html", empty := {}, None)
+    assert empty == {}

@@ -30,6 +30,7 @@ REMEMBERED = 8  # choices of which it is remembered what they came to
 WINDOWS = 256  # windows of sequences that are kept with what was solved in them
 SHALLOW = (16, 4)  # shares of the past that refute a choice first, where all of it makes a large program
 FARTHEST = 200  # periods beyond which the past is not followed
+MOST_FAILURES = 4  # measurements in a row that no trajectory can do without, after which it is left at that
 SCALED = 1 + 1e-9  # a trajectory is divided by the largest ratio of its w to the bound times this
 
 
@@ -171,7 +172,8 @@ class AccuracyOracle:
             if ratio > 0:
                 worst = max(worst, float(ratio))
                 trajectory = self.tangent(chosen.astype(float), g)
-                found += [trajectory] if trajectory is not None else []
+                if trajectory is not None:
+                    found.append(trajectory.at_touch if self.few else trajectory)
         return worst, found
 
     def tangent(self, z: Array, g: int) -> HiddenTrajectory | None:
@@ -210,6 +212,10 @@ class AccuracyOracle:
 
     def ending_with(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
         """The strongest trajectory that ends where another one does and that a choice hides; None up to a level."""
+        if trajectory.response is None:
+            assert self.grid_filter is not None
+            found = self.grid_filter.tangent_at(chosen.astype(float), trajectory.goal, trajectory.end)
+            return found.at_touch if found is not None and found.at_touch.reach > level else None
         if self.problem.unread_steps is None:
             at = np.flatnonzero(chosen.any(axis=1))
             since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)
@@ -410,3 +416,41 @@ class AccuracyOracle:
         if response is None:
             return None
         return self.scaled(response, g, end, False, window)
+
+
+def narrowed(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory:
+    """A trajectory that ends where this one does, reaches a level as it does, and that fewer measurements show.
+
+        A  hidden from S, reaching a level   ->   A'  hidden from S and x, for as many x as leave one that reaches it
+
+    A choice without any of what still shows it fails. Those that show it least are taken first, many at once while
+    that succeeds.
+    """
+    needed = np.zeros_like(oracle.problem.allowed)
+    count = max(1, int(detecting_measurements(oracle, trajectory, level).sum()) // 4)
+    failed = 0
+    while failed < MOST_FAILURES:
+        row = detecting_measurements(oracle, trajectory, level)
+        left = np.argwhere(row & ~needed)
+        if not len(left) or oracle.work.over:
+            break
+        count = max(1, min(count, len(left)))
+        peaks = trajectory.peaks[(trajectory.end - left[:, 0]) % oracle.problem.steps, left[:, 1]]
+        taken = left[np.argsort(peaks, kind="stable")[:count]]
+        hidden = oracle.problem.allowed & ~row
+        hidden[taken[:, 0], taken[:, 1]] = True
+        other = oracle.ending_with(hidden, trajectory, level)
+        if other is not None and other.reach > level:
+            trajectory, count, failed = other, 2 * count, 0
+        else:
+            needed[taken[:, 0], taken[:, 1]] |= count == 1
+            failed += count == 1
+            count //= 2
+    return trajectory
+
+
+def detecting_measurements(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> Mask:
+    """Which of all that may be measured shows a trajectory that is scaled to reach just a level (M, p)."""
+    steps = oracle.problem.steps
+    back = (trajectory.end - np.arange(steps)) % steps
+    return np.asarray(oracle.problem.allowed & (trajectory.weights(level)[back] > 0))

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.planning.covering import CoveringRows, Key, relaxed
-from sampling_design.planning.evidence import CostProof, CostTree, every_choice_judged
+from sampling_design.planning.evidence import CostProof, CostTree, open_choices
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
@@ -118,9 +118,12 @@ class CostProver:
         counted = self._counted(level, target) if find is not None else None
         if counted is not None:
             return counted
-        judges = None if decide else self.grid_filter
-        if judges is not None and every_choice_judged(self.covering, judges, level, target):
-            return CostProof(level, target, (), CostTree(), judged=True)
+        if self.grid_filter is not None:
+            left = open_choices(self.covering, self.grid_filter, level, target)
+            if left == []:
+                return CostProof(level, target, (), CostTree(), judged=True)
+            if left and decide and self.grid_filter.decides:
+                return CostProof(level, 0.0, tuple(keys), CostTree())
         found, _ = separated(self.covering, self.pool, level, list(keys), self.work, target)
         proof = _ProofTree(self, level, target, found, self.work, find, decide, MOST_NODES).proof()
         if decide or proof.value >= target or self.work.over:
@@ -180,7 +183,7 @@ class _ProofTree:
     ):  # fmt: skip
         self.covering, self.pool, self.level, self.target = prover.covering, prover.pool, level, target
         self.keys, self.work, self.find, self.decide = keys, work, find, decide
-        dense = all(trajectory.response is None for trajectory in self.pool.trajectories)
+        dense = all(each.response is None and not np.any(each.touches == 1) for each in self.pool.trajectories)
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] if find is not None else 0
         self.program = self.covering.model(self.pool.trajectories, keys, level)

@@ -71,18 +71,19 @@ class CostProof:
     judged: bool = False
 
 
-MOST_CHOICES = 20_000  # that are judged one by one
+def open_choices(covering: CoveringRows, grid_filter: GridFilter, level: float, below: float) -> list[Mask] | None:
+    """Those of all choices below a cost that the filter does not find beyond a level; None where they are too many.
 
-
-def every_choice_judged(covering: CoveringRows, grid_filter: GridFilter, level: float, value: float) -> bool:
-    """Whether no choice of fewer samples than cost `value` keeps a level, each judged by itself.
-
-    More samples leave no more unknown, so that those with the most of them stand for all: their sets are looked at
-    where nothing but the number of samples counts.
+    More measurements leave no more unknown, so that those that nothing can join stand for all: none proves the cost.
     """
-    most = covering.most_samples(value)
-    choices = covering.choices(most, MOST_CHOICES)
-    return choices is not None and bool(grid_filter.beyond(choices, level).all())
+    choices, found = covering.choices(below), list[Mask]()
+    if choices is None:
+        return None
+    for at, read in choices:
+        for k in np.flatnonzero(~grid_filter.beyond(at, read, level)):
+            found.append(np.zeros_like(covering.problem.allowed))
+            found[-1][at[k]] = read[k]
+    return found
 
 
 def proven_cost(covering: CoveringRows, pool: HiddenTrajectories, proof: CostProof) -> float:
@@ -98,6 +99,8 @@ def proven_cost(covering: CoveringRows, pool: HiddenTrajectories, proof: CostPro
 
 
 KEPT = 1e-7  # share by which what is simulated anew is scaled down beyond what it exceeds: rounding of its path
+
+AGAIN = 1e-6  # share within which what is worked out anew, on another machine, is the same
 
 EASED = 1 - 1e-5
 """Levels are stated this much lower than they were proven at, so that what is simulated anew proves them, not nearly:
@@ -199,6 +202,8 @@ def _filtered(problem: PlanProblem, discrete: DiscretePlant, trajectory: HiddenT
     if not problem.goals[trajectory.goal].stochastic or np.any(z < 0) or np.any(z > 1):
         return None
     found = GridFilter(problem, discrete).tangent_at(z, trajectory.goal, trajectory.end)
+    if found is not None and trajectory.reach <= found.at_touch.reach * (1 + AGAIN):
+        found = found.at_touch
     return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=trajectory.end)
 
 
@@ -219,7 +224,7 @@ def bound_holds(
     pool = HiddenTrajectories(covering.problem.steps, ends)
     for trajectory in bound.trajectories:
         propagated = resimulated(covering.problem, discrete, trajectory)
-        if propagated is None or propagated.reach < trajectory.reach * (1 - 1e-6):
+        if propagated is None or propagated.reach < trajectory.reach * (1 - AGAIN):
             return False
         pool.add(propagated)
     for proof, frame, least in ((bound.ratio, limited, most), (bound.cost, covering, None)):
@@ -229,7 +234,7 @@ def bound_holds(
             return False
         if proof.judged:
             grid_filter = GridFilter(frame.problem, discrete)
-            value = proof.value if every_choice_judged(frame, grid_filter, proof.level, proof.value) else -np.inf
+            value = proof.value if open_choices(frame, grid_filter, proof.level, proof.value) == [] else -np.inf
         else:
             value = proven_cost(frame, pool, proof)
         if value < proof.value * (1 - 1e-9) or (least is not None and value <= least):

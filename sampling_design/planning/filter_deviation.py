@@ -40,6 +40,11 @@ class GridFilter:
         self.F, self.Q = F[0], symmetrise(Q[0])
         self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
 
+    @property
+    def decides(self) -> bool:
+        """Whether a choice that is not `beyond` a level keeps it, up to rounding."""
+        return all(goal.stochastic and not own(goal) for goal in self.problem.goals)
+
     def variances(self, chosen: Mask) -> tuple[Array, Array]:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
         n, (B, M, p) = self.discrete.n, chosen.shape
@@ -69,8 +74,8 @@ class GridFilter:
         before[:, lost], after[:, lost] = BEYOND, BEYOND
         return np.moveaxis(before, 0, 2), np.moveaxis(after, 0, 2)
 
-    def beyond(self, at: Index, level: float) -> Mask:
-        """Which of the choices of samples at the steps `at` (B, k), each of all sensors, leave a goal above a level.
+    def beyond(self, at: Index, read: Mask, level: float) -> Mask:
+        """Which choices leave a goal above a level: samples at the steps `at` (B, k) that `read` (B, k, p).
 
         Proven: from nothing unknown on, any period that does refutes. Goals just after samples are not looked at.
         """
@@ -88,9 +93,9 @@ class GridFilter:
             self.work.add((M * FILTER[0], FILTER[1]), len(left) * k * n)
             worst, ahead = np.zeros(len(left)), np.arange(1, M + 1)
             for j in range(k):
-                for h, read in zip(self.discrete.S, self.problem.allowed[at[left, j]].T, strict=True):
+                for h, mask in zip(self.discrete.S, read[left, j].T, strict=True):
                     Ph = P @ h
-                    P = P - (read / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
+                    P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
                 gap, then = gaps[left, j], (at[left, j, None] + ahead) % M
                 for row, when in zip(rows, wanted, strict=True):
                     later = row @ F[1:]

@@ -8,7 +8,7 @@ trajectory again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,16 @@ class HiddenTrajectory:
         """Where a tangent touches."""
         assert self.point is not None
         return self.point
+
+    @property
+    def at_touch(self) -> HiddenTrajectory:
+        """The tangent less what it says of measurements where it touches a choice that takes all of them.
+
+        With z <= 1, reach^2 - sum s (z - 1) over these is at least reach^2: the row asks only for others.
+        """
+        whole = self.touches == 1
+        reach = float(np.sqrt(max(self.reach**2 - float(self.peaks[whole].sum()), 0.0)))
+        return replace(self, reach=reach, peaks=np.where(whole, 0.0, self.peaks))
 
     def weights(self, level: float) -> Array:
         """What measuring at each step back from the end, and sensor, adds; a choice for `level` must add up to 1.

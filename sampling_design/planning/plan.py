@@ -387,7 +387,7 @@ class _Planning:
         limit, known, keys = limit_of(self.problem, 0.0), search.out_of_reach, search.keys
         work = self.oracle.work
         work.extend(*AFTER[1])
-        prover = CostProver(search.covering, search.pool, work, search.find)
+        prover = CostProver(search.covering, search.pool, work, search.find, self.oracle.grid_filter)
         ratio = prover.out_of_reach(limit, known, best.worst, WIDTH, keys)
         if ratio is not None:
             self.progress.bounded(ratio.level)

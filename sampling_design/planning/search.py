@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.planning.accuracy_oracle import SETTLED, AccuracyOracle
+from sampling_design.planning.accuracy_oracle import SETTLED, AccuracyOracle, narrowed
 from sampling_design.planning.bounds import BELOW, separated
 from sampling_design.planning.covering import NODES, CoveringRows, Key, cheapest
 from sampling_design.planning.discrete_plant import UndetectedModes
-from sampling_design.planning.evidence import EASED
+from sampling_design.planning.evidence import EASED, open_choices
 from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajectories, HiddenTrajectory, weighed
 from sampling_design.planning.hitting_set import HittingSet, smallest_hitting_set
-from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.problem import SAME_PRICE, PlanProblem
 from sampling_design.planning.search_progress import WEIGHED, PlanProgress
 from sampling_design.records.arrays import Array, Mask
 
@@ -31,7 +31,6 @@ FRUITLESS = 5  # repairs in a row that come to nothing, after which only the che
 FLAT = 1e-5  # a tangent that raises the least cost by no more than this share is the last
 MOST_SWAPS = 200  # places of one measurement that are tried, at most
 NARROW = 0.01  # relative distance between the best choice and the level shown to be out of reach at which a search ends
-MOST_FAILURES = 4  # measurements in a row that no trajectory can do without, after which it is left at that
 STEP = 0.03  # how much better than the best so far is asked for next
 
 
@@ -164,7 +163,9 @@ class PlanSearch:
                 return None
             few = self._few(level)
             chosen, none = (
-                (few.chosen, few.none) if few is not None else self._candidate(keys, level, within_limits=True)
+                (few.chosen, few.none)
+                if few is not None
+                else self._one_by_one(level, self.covering.dearest) or self._candidate(keys, level, within_limits=True)
             )
             if none:
                 self.out_of_reach = max(self.out_of_reach, level)
@@ -253,7 +254,7 @@ class PlanSearch:
 
     def _add_less_observable(self, trajectory: HiddenTrajectory, level: float, known: Mask) -> None:
         """Keep a trajectory like one that `known` does not see, which less of what may be measured sees."""
-        if trajectory.response is None or not self.oracle.few:
+        if not self.oracle.few:
             self.add_weakly_observable(trajectory.goal, trajectory.end + self.problem.steps, level, known)
         else:
             for each in (trajectory, *self.oracle.in_other_gaps(known, trajectory, level)):
@@ -317,9 +318,12 @@ class PlanSearch:
             fewer[np.arange(len(fewer)), *np.nonzero(chosen)] = False
             left = self.oracle.grid_filter.worst(fewer).max(axis=1)
             even = self._even(int(chosen.any(axis=1).sum()) - 1)
+            below = self.problem.cost(chosen) * (1 - SAME_PRICE)
             tries = [fewer[k] for k in np.argsort(left, kind="stable")[:THINNED].tolist()] + even
             for trial in tries:
-                trial = self._exchanged(trial, options)
+                if self.problem.cost(trial) >= below:
+                    continue
+                trial = self._exchanged(trial, options, below)
                 value = float(self.oracle.grid_filter.worst(trial[None]).max())
                 if value <= level and self.oracle.hidden(trial) is None and self.problem.is_admissible(trial):
                     chosen, worst = trial, value
@@ -343,8 +347,8 @@ class PlanSearch:
         self.oracle.work.add((trajectories * WEIGHED[0], trajectories * WEIGHED[1]), ends * len(options))
         return self.pool.swaps(rest, options)
 
-    def _exchanged(self, chosen: Mask, options: list[tuple[int, int]]) -> Mask:
-        """Move one measurement at a time to where the standard deviations are least, while that gains."""
+    def _exchanged(self, chosen: Mask, options: list[tuple[int, int]], below: float = np.inf) -> Mask:
+        """Move one measurement at a time to where the standard deviations are least, for less than a cost."""
         assert self.oracle.grid_filter is not None
         best = float(self.oracle.grid_filter.worst(chosen[None]).max())
         for _ in range(2):
@@ -356,7 +360,7 @@ class PlanSearch:
                 for o in options:
                     trial = rest.copy()
                     trial[o] = True
-                    if not rest[o] and self.problem.is_admissible(trial):
+                    if not rest[o] and self.problem.is_admissible(trial) and self.problem.cost(trial) < below:
                         trials.append(trial)
                 few = trials[:: max(1, -(-len(trials) // MOST_SWAPS))]
                 if not few or self.late:
@@ -376,7 +380,7 @@ class PlanSearch:
             self.progress.say(f"{len(self.pool.trajectories)} trajectories")
             if self.late:
                 return
-            chosen, none = self._candidate(keys, level, best)
+            chosen, none = self._one_by_one(level, best) or self._candidate(keys, level, best)
             if chosen is None or self.problem.cost(chosen) >= best * (1 - 1e-9):
                 self.complete = best < np.inf and (none or chosen is not None)
                 self.out_of_reach = level if none and best == np.inf else 0.0
@@ -399,6 +403,23 @@ class PlanSearch:
                     self._add_less_observable(
                         trajectory, 1 / EASED**2 if trajectory.reach > 1 + level * 1e-3 else level, trial
                     )
+
+    def _one_by_one(self, level: float, below: float) -> tuple[Mask | None, bool] | None:
+        """The best choice below a cost that keeps a level, or that there is none: each judged by the filter.
+
+        None where they are too many, or those that the filter does not refute are not admissible.
+        """
+        grid_filter = self.oracle.grid_filter
+        if grid_filter is None or not self.stochastic or below == np.inf:
+            return None
+        trials = open_choices(self.covering, grid_filter, level, below)
+        if not trials:
+            return None if trials is None else (None, True)
+        worst = grid_filter.worst(np.array(trials)).max(axis=1)
+        for k in np.argsort(worst, kind="stable").tolist():
+            if worst[k] <= level and self.problem.is_admissible(trials[k]) and self.oracle.hidden(trials[k]) is None:
+                return trials[k], False
+        return None
 
     def _started(self, level: float) -> float:
         """The least cost of the choices to start with that keep a level; infinite if none does."""
@@ -437,7 +458,7 @@ class PlanSearch:
                 return None
             if self.problem.cost(more) >= dearest:
                 return None
-            trial = self._exchanged(more, options) if self.stochastic else more
+            trial = self._exchanged(more, options, dearest) if self.stochastic else more
         return None
 
     def improve(self, rounds: int) -> None:
@@ -452,41 +473,3 @@ class PlanSearch:
             answer = self.decide(level, rounds)
             if answer is None:
                 return
-
-
-def narrowed(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory:
-    """A trajectory that ends where this one does, reaches a level as it does, and that fewer measurements show.
-
-        A  hidden from S, reaching a level   ->   A'  hidden from S and x, for as many x as leave one that reaches it
-
-    A choice without any of what still shows it fails. Those that show it least are taken first, many at once while
-    that succeeds.
-    """
-    needed = np.zeros_like(oracle.problem.allowed)
-    count = max(1, int(detecting_measurements(oracle, trajectory, level).sum()) // 4)
-    failed = 0
-    while failed < MOST_FAILURES:
-        row = detecting_measurements(oracle, trajectory, level)
-        left = np.argwhere(row & ~needed)
-        if not len(left) or oracle.work.over:
-            break
-        count = max(1, min(count, len(left)))
-        peaks = trajectory.peaks[(trajectory.end - left[:, 0]) % oracle.problem.steps, left[:, 1]]
-        taken = left[np.argsort(peaks, kind="stable")[:count]]
-        hidden = oracle.problem.allowed & ~row
-        hidden[taken[:, 0], taken[:, 1]] = True
-        other = oracle.ending_with(hidden, trajectory, level)
-        if other is not None and other.reach > level:
-            trajectory, count, failed = other, 2 * count, 0
-        else:
-            needed[taken[:, 0], taken[:, 1]] |= count == 1
-            failed += count == 1
-            count //= 2
-    return trajectory
-
-
-def detecting_measurements(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> Mask:
-    """Which of all that may be measured shows a trajectory that is scaled to reach just a level (M, p)."""
-    steps = oracle.problem.steps
-    back = (trajectory.end - np.arange(steps)) % steps
-    return np.asarray(oracle.problem.allowed & (trajectory.weights(level)[back] > 0))

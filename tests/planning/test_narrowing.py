@@ -6,11 +6,10 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.planning import sequence as sequences
-from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.accuracy_oracle import AccuracyOracle, detecting_measurements, narrowed
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import delayed
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.search import detecting_measurements, narrowed
 from sampling_design.planning.sequence_system import plan_system
 from sampling_design.planning.transient_bound import cut_gains, settled_factors
 

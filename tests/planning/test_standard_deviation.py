@@ -10,15 +10,18 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
 from sampling_design.planning import sequence_deviation
+from sampling_design.planning.accuracy_oracle import AccuracyOracle, detecting_measurements, narrowed
+from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import plan_robustness
-from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.evidence import EASED, PlanBound, gathered, resimulated, trajectory_of, trajectory_to_dict
 from sampling_design.planning.files import read_plan
 from sampling_design.planning.filter_deviation import GridFilter
-from sampling_design.planning.plan_record import deviation_of
+from sampling_design.planning.plan_record import deviation_of, without_limits
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of, proven_plan
+from sampling_design.planning.search import PlanSearch
 from tests.oracles import planning as oracle
 
 OSCILLATOR = sd.Plant(
@@ -133,6 +136,49 @@ def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
         assert value[1] - value[0] == pytest.approx(-slope, rel=1e-3)
 
 
+def test_a_tangent_at_a_choice_asks_for_what_that_leaves_out_alone_and_stays_below_every_choice():
+    problem = pose_plan(OSCILLATOR, sd.PlanRequirement({"velocity": goal(0.25)}, sensors=TERMS, **GIVEN))
+    oracle, rng = AccuracyOracle(problem, discretize(problem)), np.random.default_rng(3)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[[0, 4], 0] = True
+    worst, (tangent,) = oracle.judge(chosen)
+    assert worst * (1 - 1e-3) <= tangent.reach <= worst
+    assert not np.any(tangent.peaks[tangent.touches == 1])
+    level = 1.0
+    found = narrowed(oracle, tangent, level)
+    assert level < found.reach < tangent.reach
+    shown = detecting_measurements(oracle, found, level)
+    assert np.all(found.weights(level)[found.peaks > 0] == 1)
+    assert 0 < shown.sum() < detecting_measurements(oracle, tangent, level).sum()
+    assert not np.any(shown & chosen)
+    assert oracle.grid_filter.variances(~shown[None])[0][0, 0, found.end] > (0.25 * level) ** 2  # without all of these
+    back = (found.end - np.arange(problem.steps)) % problem.steps
+    others = np.argwhere(shown)
+    assert len(others) > 1
+    for k in others:  # and each of these mends it
+        more = ~shown
+        more[tuple(k)] = True
+        assert oracle.grid_filter.variances(more[None])[0][0, 0, found.end] <= (0.25 * level) ** 2
+    for drawn in (rng.random((20, *chosen.shape)) < 0.5) & (rng.random((20, 1, 1)) < 0.7):
+        line = found.reach**2 - float(np.sum(found.peaks * drawn[back]))
+        assert line <= oracle.grid_filter.variances(drawn[None])[0][0, 0, found.end] / 0.25**2 * (1 + 1e-9)
+
+
+def test_a_tangent_at_a_choice_is_worked_out_anew_from_its_file():
+    problem = pose_plan(OSCILLATOR, sd.PlanRequirement({"velocity": goal(0.25)}, sensors=TERMS, **GIVEN))
+    discrete = discretize(problem)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[[0, 4], 0] = True
+    (tangent,) = AccuracyOracle(problem, discrete).judge(chosen)[1]
+    whole = GridFilter(problem, discrete).tangent_at(chosen.astype(float), 0, tangent.end)
+    for each in (tangent, whole):
+        again = resimulated(problem, discrete, trajectory_of(problem, discrete, trajectory_to_dict(each)))
+        assert again.reach == pytest.approx(each.reach, rel=1e-6)
+        np.testing.assert_allclose(again.peaks, each.peaks, rtol=1e-9, atol=1e-12)
+    raised = replace(tangent, reach=(tangent.reach + whole.reach) / 2)
+    assert resimulated(problem, discrete, raised).reach == pytest.approx(whole.reach, rel=1e-6)
+
+
 def test_a_goal_at_given_times_has_its_tangent_there():
     wanted = sd.PlanRequirement({"position": goal(1.0, at=[2.4, 4.8])}, sensors=TERMS, **GIVEN)
     problem = pose_plan(OSCILLATOR, wanted)
@@ -180,7 +226,19 @@ def test_both_kinds_are_planned_together():
     assert both.deviation is not None
 
 
+def bounded_by_tangents(found):
+    """A plan whose least cost is proven by tangents, as where choices are too many to be judged one by one."""
+    problem = found.problem
+    search = PlanSearch(problem, AccuracyOracle(problem, discretize(problem)))
+    search.sharpen(1 / EASED**2, found.cost)
+    covering = CoveringRows(without_limits(problem), fixed=problem.is_free)
+    proof = CostProver(covering, search.pool, search.oracle.work, search.find).least_cost(1 / EASED**2, found.cost)
+    return replace(found, bound=gathered(search.pool, None, proof))
+
+
 def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
+    found = bounded_by_tangents(found)
+    assert found.bound.trajectories
     path = found.save(tmp_path / "plan.json")
     again = read_plan(path)
     assert again.verify()
@@ -228,15 +286,15 @@ def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more):
     asked = {**ONE, "sensors": TERMS} if not more else {**ONE, "period": 48.0, "grid": 4.0}
     problem = pose_plan(plant, sd.PlanRequirement({"position": goal(0.3)}, **asked, **more))
     covering, grid_filter = CoveringRows(problem, fixed=problem.is_free), GridFilter(problem, discretize(problem))
-    choices = covering.choices(2, 1000)
+    ((choices, read),) = covering.choices(2.5 * covering.cost.max(), 1000)
     turns = {tuple(sorted((steps + s) % problem.steps)) for steps in choices for s in range(problem.steps)}
     assert turns >= set(combinations(covering.at.tolist(), 2))
-    assert covering.choices(2, len(choices) - 1) is None
-    assert covering.choices(covering.at.size + 1, 1000) is None
-    for steps in choices[:: max(1, len(choices) // 6)]:
-        worst = worst_on_the_grid(problem, steps.tolist()) / 0.3
-        assert grid_filter.beyond(steps[None], worst * (1 - 3e-3)).all()
-        assert not grid_filter.beyond(steps[None], worst * (1 + 3e-3)).any()
+    assert read.all() == problem.allowed.any(axis=1).all()
+    assert covering.choices(2.5 * covering.cost.max(), len(choices) - 1) is None
+    for k in range(0, len(choices), max(1, len(choices) // 6)):
+        worst = worst_on_the_grid(problem, choices[k].tolist()) / 0.3
+        assert grid_filter.beyond(choices[k : k + 1], read[k : k + 1], worst * (1 - 3e-3)).all()
+        assert not grid_filter.beyond(choices[k : k + 1], read[k : k + 1], worst * (1 + 3e-3)).any()
 
 
 def test_what_costs_less_is_judged_choice_by_choice_and_a_forged_cost_is_not_believed(found, tmp_path):

@@ -1,0 +1,74 @@
+"""The cheapest plan costs what the cheapest of all choices costs, and its bound says so.
+
+Standard deviations, two sensors of different prices and a price of each visit, so that neither the number of samples
+nor that of measurements decides; by the plain filter, all choices of the grid at once.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import sampling_design as sd
+from tests.cases import few
+
+STEPS, PERIODS, NOISE = 5, 40, 0.1
+ROUNDING = 1e-6
+BETWEEN = 0.02  # how much larger deviations may be between steps of the grid, or by the search's margin
+
+
+def every_choice():
+    """What each of two sensors measures at each step, the first sample at step 0 (B, M, 2)."""
+    parts = [(0, 0), (1, 0), (0, 1), (1, 1)]
+    return np.array([c for c in product(parts, repeat=STEPS) if any(c[0])], dtype=bool)
+
+
+def deviations(A, C, intensity, step, choices):
+    """Largest standard deviation of each state just before a step (B, n), by the plain filter from nothing known."""
+    n = len(A)
+    joint = expm(np.block([[-A, intensity * np.eye(n)], [np.zeros((n, n)), A.T]]) * step)
+    F = joint[n:, n:].T
+    P, Q = np.tile(1e4 * np.eye(n), (len(choices), 1, 1)), F @ joint[:n, n:]
+    for _ in range(PERIODS):
+        worst = np.zeros((len(choices), n))
+        for measured in np.moveaxis(choices, 1, 0):
+            P = F @ P @ F.T + Q
+            worst = np.maximum(worst, np.diagonal(P, axis1=1, axis2=2))
+            for c, taken in zip(C, measured.T, strict=True):
+                gain = P @ c / (np.einsum("i,bij,j->b", c, P, c) + NOISE**2)[:, None]
+                P = P - taken[:, None, None] * gain[:, :, None] * np.einsum("i,bij->bj", c, P)[:, None, :]
+    return np.sqrt(worst)
+
+
+@pytest.mark.parametrize("seed", few(range(24), 0, 1))
+def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
+    rng = np.random.default_rng(seed)
+    A, C = rng.standard_normal((2, 2)) * 0.7, rng.standard_normal((2, 2))
+    A -= max(0.0, float(np.linalg.eigvals(A).real.max()) - 0.1) * np.eye(2)
+    step, intensity, visit = rng.uniform(0.4, 1.2), rng.uniform(0.02, 0.1) ** 2, float(rng.integers(0, 3))
+    price = rng.choice([1.0, 2.0, 3.0], size=2)
+    choices = every_choice()
+    reached = deviations(A, C, intensity, step, choices)
+    costs = choices.any(axis=2).sum(axis=1) * visit + choices.sum(axis=1) @ price
+    wanted = reached[rng.integers(len(choices))] * rng.uniform(1.03, 1.3)
+    ratios = (reached / wanted).max(axis=1)
+    plan = sd.plan_samples(
+        sd.Plant(A, C),
+        sd.PlanRequirement(
+            {f"x{i + 1}": {"tolerance": float(e), "kind": "standard deviation"} for i, e in enumerate(wanted)},
+            period=STEPS * step,
+            grid=step,
+            w_intensity=intensity,
+            visit_price=visit,
+            sensors={f"y{j + 1}": {"noise_deviation": NOISE, "price": float(c)} for j, c in enumerate(price)},
+        ),
+        certificate=False,
+        robustness=False,
+        from_start=False,
+    )
+    least, sure = costs[ratios <= 1 + ROUNDING].min(), costs[ratios <= 1 - BETWEEN].min()
+    assert plan.bound.cost.value <= least <= plan.cost <= sure
+    assert plan.bound.cost.value == least
+    assert plan.status == "complete"
+    assert plan.verify()

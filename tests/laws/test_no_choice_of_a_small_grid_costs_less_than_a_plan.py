@@ -41,7 +41,7 @@ def deviations(A, C, intensity, step, choices):
     return np.sqrt(worst)
 
 
-@pytest.mark.parametrize("seed", few(range(24), 0, 1))
+@pytest.mark.parametrize("seed", few(range(24), 21))
 def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
     rng = np.random.default_rng(seed)
     A, C = rng.standard_normal((2, 2)) * 0.7, rng.standard_normal((2, 2))

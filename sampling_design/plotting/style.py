@@ -7,14 +7,16 @@ a test simulates both.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta
+from typing import Literal
 
 import matplotlib.axes
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from sampling_design.records.arrays import Array, Index
@@ -34,8 +36,25 @@ TRUTH = "#222222"
 class Axes(matplotlib.axes.Axes):
     """Axes of a figure that belongs to no global state, and that a notebook shows where a cell ends in them."""
 
+    _title_pad: float | None = None  # points from the axes up to a title that stands above a legend
+
     def _repr_png_(self) -> bytes:
         return png_of(self)
+
+    def set_title(
+        self,
+        label: str,
+        fontdict: Mapping[str, object] | None = None,
+        loc: Literal["left", "center", "right"] | None = None,
+        pad: float | None = None,
+        *,
+        y: float | None = None,
+        **how: object,
+    ) -> Text:
+        """Set a title; one of a user's own stands above the legend, as the picture's did."""
+        self._title_pad = self._title_pad if pad is None else pad
+        font = None if fontdict is None else dict(fontdict)
+        return super().set_title(label, font, loc, pad=self._title_pad, y=y, **how)
 
 
 class Panels(list[matplotlib.axes.Axes]):

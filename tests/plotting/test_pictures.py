@@ -494,3 +494,14 @@ def test_horizons_count_in_a_unit_that_people_read():
     dots = {round(float(line.get_xdata()[0]), 6) for line in top.lines}
     assert dots == {round(row.minimum / 60, 6) for row in found.rows if row.minimum is not None}
     assert f"{above(found.rows[2].minimum / 60, 4)} min is proven" in top.get_title(loc="left")
+
+
+@pytest.mark.parametrize("loc", ["left", "center"])
+def test_a_title_of_ones_own_stands_above_the_legend(loc):
+    ax = sd.window_sigma(OSCILLATOR, sd.PeriodicSchedule([0.9, 1.4]), 4.0).plot()
+    mine = ax.set_title("mine", loc=loc)
+    ax.figure.draw_without_rendering()
+    assert mine.get_window_extent().y0 >= ax.get_legend().get_window_extent().y1
+    assert ax.set_title("lower", loc=loc, pad=1.0) is mine
+    ax.figure.draw_without_rendering()
+    assert mine.get_window_extent().y0 < ax.get_legend().get_window_extent().y1

@@ -300,7 +300,8 @@ def command_page() -> str:
         lines += [f"## `sampling-design {name}`", "", *command_help(command.help or "")]
         lines += ["| argument or flag | meaning |", "|---|---|"]
         for parameter in command.params:
-            flags = parameter.opts if parameter.param_type_name == "option" else [parameter.name.upper()]
+            is_option, called = parameter.param_type_name == "option", parameter.metavar
+            flags = [*(parameter.opts if is_option else ()), *([called] if called else [])]
             told = (getattr(parameter, "help", None) or "").replace("|", "\\|")
             plain = isinstance(parameter.default, int | float | str) and not isinstance(parameter.default, bool)
             shown = f" Default {parameter.default}." if plain and parameter.default != "" else ""

@@ -74,6 +74,8 @@ def test_every_command_is_explained(pages):
     for name in COMMANDS:
         section = page.split(f"## `sampling-design {name}`", 1)[1].split("\n## ", 1)[0]
         assert all(max(p.opts, key=len) in section for p in loaded(name).params if p.param_type_name == "option")
+        arguments = [p for p in loaded(name).params if p.param_type_name == "argument"]
+        assert all(f"| `{p.metavar}` |" in section for p in arguments)  # as `--help` calls them
 
 
 @pytest.mark.long

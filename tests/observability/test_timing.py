@@ -8,6 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.windows import window_record
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from tests import command_lines
 from tests.cases import few
@@ -156,6 +157,24 @@ def test_rates_whose_exponential_is_no_number_prove_less_and_break_nothing(unit,
 
 
 SIDES = [(0.0, 0.2), (0.2, 0.0), (0.1, 0.3), {"a": (0.2, 0.0), "b": (0.0, 0.1)}]
+
+
+@pytest.mark.parametrize("tolerance", [0.05, (0.03, 0.01), {"y1": 0.05, "y2": (0.0, 0.02)}])
+def test_a_period_given_several_times_over_is_looked_at_once(monkeypatch, tolerance):
+    """Equal gaps, and outputs in turn: the same sigma, and as many windows in which late samples are tried."""
+    plant = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], np.eye(2), outputs=["y1", "y2"])
+    tried, own = [], window_record.moved_window
+    monkeypatch.setattr(window_record, "moved_window", lambda *given: tried.append(1) or own(*given))
+    for gaps, outputs in (([1.0], None), ([0.7, 0.9], [[1, 0], [0, 1]])):
+        counts, found = [], []
+        for times in (1, 6):
+            mask = None if outputs is None else np.tile(np.array(outputs, dtype=bool), (times, 1))
+            schedule = sd.PeriodicSchedule(gaps * times, first=0.4, outputs=mask)
+            found.append(sd.window_sigma(plant, schedule, 4.2, timing_tolerance=tolerance))
+            counts.append(len(tried))
+            tried.clear()
+        assert (found[0].lower, found[0].upper) == (found[1].lower, found[1].upper)
+        assert counts[0] == counts[1] > 0
 
 
 @pytest.mark.parametrize(("sides", "finite"), few(product(SIDES, [True, False]), 0, 3, 6, 7))

@@ -224,22 +224,23 @@ def moved_window(plant: Plant, pieces: WindowPieces, g: int, start: float) -> Wi
         inside = mask.any(axis=1)
         centres, mask = centres[inside], mask[inside]
     apart = np.zeros((centres.size, plant.n_outputs if late.apart else 1))
-    places = [apart - late.back, apart, apart + late.forward]  # each (k, 1), or (k, p) where outputs fall apart
-    moves, kept = apart + late.offsets, None
+    moves = [apart - late.back, apart, apart + late.forward]  # each (k, 1), or (k, p) where outputs fall apart
+    places, times, kept = centres[:, None] + np.array(moves), centres[:, None] + (apart + late.offsets), None
+    shown = np.array([_rows(plant, place - start, mask) for place in places])
+    rows = _rows(plant, times - start, mask)
     for _ in range(_TURNS):
-        times = centres[:, None] + moves
-        rows = _rows(plant, times - start, mask).reshape(-1, n)
-        full = np.vstack([rows, np.zeros((max(0, n - len(rows)), n))])
+        full = np.vstack([rows.reshape(-1, n), np.zeros((max(0, n - rows.size // n), n))])
         _, singular, right = np.linalg.svd(full)
         if kept is not None and not singular[-1] < kept.sigma * (1 - _GAIN):
             break
         sampled = times if mask is None or not late.apart else times[mask]
         kept = WindowWitness(start + pieces.window, "at", np.unique(sampled), right[-1], float(singular[-1]))
-        outputs = np.array([_rows(plant, centres[:, None] + e - start, mask) @ right[-1] for e in places])
+        outputs = shown @ right[-1]
         outputs /= max(float(np.abs(outputs).max(initial=0.0)), np.finfo(float).tiny)
         size = np.abs(outputs) if late.apart else np.linalg.norm(outputs, axis=2, keepdims=True)
-        best = np.argmin(size, axis=0)
-        moves = np.choose(best, places)
+        best = np.argmin(size, axis=0)[None]
+        times = np.take_along_axis(places, best, axis=0)[0]
+        rows = np.take_along_axis(shown, best[..., None], axis=0)[0]
     assert kept is not None  # the first turn keeps one
     return kept
 

@@ -218,6 +218,7 @@ def window_sigma(
     aligned = align(plant, schedule)
     late = TimingTolerance.of(timing_tolerance, plant.outputs.names, plant.time_unit)
     if late:
+        aligned = aligned.primitive() if aligned.endless else aligned  # each window is looked at closely
         late.require_order(SamplingSet(aligned).min_gap)
         if rigorous:
             raise ArgumentError("`rigorous` is for exact sample times: leave it or `timing_tolerance` out.")

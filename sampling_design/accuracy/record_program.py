@@ -231,6 +231,9 @@ class RecordProgram:
     def _end(self, t: float, row: Array, level: int) -> RowEnd:
         """The upper end of a row, from the program of one level."""
         c, added = self._ahead(t, row)
+        if self._hidden(c):
+            self.infeasible = not self._feasible
+            return RowEnd(np.inf, np.inf, np.inf, np.zeros(len(self.H)))
         attained, gains, ahead = self._solved(c, level)
         found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
         if self._grown and not found.bound - added - attained <= CLOSED * found.width:
@@ -380,8 +383,20 @@ class RecordProgram:
         """Whether what gains leave of a free start is rounding."""
         if not np.linalg.norm(self.L[-1].T @ rest) <= NOTHING * self._terms(c, gains):
             return False
-        begun = self._begun(c)
-        return self._free.closes(gains, begun, rest) and not self._free.hides(begun)
+        return self._free.closes(gains, self._begun(c), rest) and not self._hidden(c)
+
+    @cached_property
+    def _feasible(self) -> bool:
+        """Whether the program of the coarsest cells has a solution: without a target, which might be unbounded."""
+        posed = self.posed()
+        return posed.solver.solve(np.zeros(posed.columns), posed.b)[2] != INFEASIBLE
+
+    def _hidden(self, c: Array) -> bool:
+        """Whether a target holds a part of a free start that no reading shows: then no gains prove anything of it."""
+        if not self.readings.start.unbounded:
+            return False
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._free.hides(self._begun(c))
 
     @cached_property
     def _through(self) -> Array:

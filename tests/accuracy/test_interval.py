@@ -8,11 +8,12 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import record_program
-from sampling_design.accuracy.interval import read_record, state_interval
+from sampling_design.accuracy.interval import prove, read_record, state_interval
 from sampling_design.accuracy.readings import BelowDetection, CompositeReading
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.unknown_start import NEAR, FreeStart
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.rows import requested_rows
 from tests.cases import few
 from tests.counted_clock import Counted
 
@@ -187,6 +188,28 @@ def test_what_nothing_shows_is_unbounded_and_named():
         sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1
     )
     assert early.explain().endswith("They prove no bound of x2: 1 reading (limits do not count) for 2 states.")
+
+
+@pytest.mark.parametrize("contradicted", [False, True])
+def test_rows_that_no_reading_shows_take_one_program_together(monkeypatch, contradicted):
+    """Whatever is asked of them; what contradicts the bounds is found all the same."""
+    w = np.arange(1.0, 5.0)
+    plant = sd.Plant(np.kron(np.diag(w), [[0.0, 1.0], [-1.0, 0.0]]), np.tile([[1.0, 0.0]], 4))
+    record = [(t, [np.sin(t)], None) for t in (0.2, 0.9, 1.3)]
+    if contradicted:  # a second output that shows the same
+        plant = sd.Plant(plant.A, np.vstack([plant.C, plant.C]))
+        record = [(t, [y, y + 1.0], None) for t, (y,), _ in record]
+    program = RecordProgram(read_record(plant, record, 0.05, 0.1, None, None, None))
+    solver, asked = program.posed().solver, []
+    own = solver.solve
+    monkeypatch.setattr(solver, "solve", lambda *given: asked.append(1) or own(*given))
+    found = prove(program, 1.3, requested_rows(plant, None))
+    if contradicted:
+        assert found.contradiction > 1
+        assert found.verify()
+    else:
+        assert np.all(np.isinf(found.upper) & np.isinf(found.lower))
+        assert len(asked) == 1
 
 
 def test_exact_readings_say_that_the_program_is_degenerate():

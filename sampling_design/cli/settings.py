@@ -72,7 +72,7 @@ class Settings:
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no notices.")] = False
     no_picture: Annotated[bool, typer.Option("--no-picture", help="With -o: all files but the picture.")] = False
-    budget: Annotated[float, typer.Option(help="Seconds a search may take.", metavar="SECONDS")] = 60.0
+    budget: Annotated[float, typer.Option(help="Seconds a search may take, by the clock.", metavar="SECONDS")] = 60.0
     decay_rate: Annotated[
         float | None, typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit].")
     ] = None

@@ -224,7 +224,7 @@ def test_limits_and_means_are_taken_samples(shell, tmp_path, schedule):
         (("validate", OSCILLATOR, "SCHEDULE", "--runs", "0"), "`--runs` must be a whole number"),
         (
             ("compare", OSCILLATOR, "SCHEDULE", "EMPTY", "--window", "3"),
-            "`times` must hold at least one sample",
+            "holds no measurement",
         ),
     ],
 )

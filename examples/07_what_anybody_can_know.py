@@ -22,7 +22,7 @@ def main() -> None:
         print(f"{name}: sigma {sigma[name]:.3f}, position within {one.upper[0]:.3f}, velocity {one.upper[1]:.3f}")
     hidden = found["even"].witnesses[0]
     run = hidden.simulate()
-    print(f"Two motions that every reading may show as zero end {2 * hidden.value:.3f} apart.")
+    print(f"Two trajectories that every reading may show as zero end {2 * hidden.value:.3f} apart.")
     floor = sd.accuracy.accuracy_limit(swing, **BOUNDS).lower
     print(f"Who reads at every moment is uncertain by {floor[0]:.3f} and {floor[1]:.3f}.")
     level = sd.state_interval(

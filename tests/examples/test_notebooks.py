@@ -1,6 +1,7 @@
 """The notebooks: stripped in the repository, taught in the same order; the documentation executes all of them."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +37,12 @@ def test_there_are_eight_and_each_has_its_script():
 def test_notebook_is_stored_without_what_a_run_leaves_behind(path):
     text = path.read_text()
     assert text == notebooks.stripped(json.loads(text)), f"run: python {TOOL.name} strip"
+
+
+@pytest.mark.parametrize("path", [*LECTURES, *SOLUTIONS], ids=lambda p: f"{p.parent.name}-{p.stem}")
+def test_no_cell_prints_a_line_in_parts(path):
+    """A kernel sends what is printed in pieces, and a page begins a line with each of them."""
+    assert not re.search(r"\bend *= *[\\]?[\"']", path.read_text())
 
 
 def test_stripping_removes_outputs_counts_and_metadata():

@@ -168,3 +168,13 @@ def test_an_output_that_shows_what_decays_alone_bears_no_more(seed):
     plant = turned(seed, [[[0.1]], SPIRALS[0.0] - 0.3 * np.eye(2)], np.array([seen, blind]))
     found = loss_tolerance(plant, PeriodicSchedule([0.5, 0.8], outputs=[[True, True], [False, True]]))
     assert found.lower == found.upper == pytest.approx(np.exp(-0.2 * 1.3))
+
+
+@pytest.mark.parametrize("unit", [2.0**-30, 2.0**20, 2.0**30])
+def test_a_chain_tolerates_the_same_losses_in_any_unit_of_time(unit):
+    """Nothing but the schedule says how fast a chain of integrators is."""
+    A, C, gaps = np.diag([1.0, 1.0], 1), [[1.0, 0.3, -0.2], [0.5, -1.0, 0.7]], np.array([0.3125, 0.6875, 0.8125])
+    seen = [[0, 1], [1, 1], [1, 0]]
+    here = loss_tolerance(Plant(A, C), PeriodicSchedule(gaps, outputs=seen))
+    there = loss_tolerance(Plant(A / unit, C), PeriodicSchedule(gaps * unit, outputs=seen))
+    assert (there.lower, there.upper) == (here.lower, here.upper) == (1.0, 1.0)

@@ -260,7 +260,7 @@ def hidden_rows(plant: Plant, schedule: PeriodicSchedule, periods: int, growth: 
     rows = exponential(plant.A - growth * np.eye(plant.n_states)).rows(plant.C, times)
     if schedule.outputs is not None:
         rows = rows * np.tile(schedule.outputs, (periods, 1))[:, :, None]
-    rows = rows * balance(plant.A, plant.C).d
+    rows = rows * balance(plant.A * schedule.period, plant.C).d  # of chains alone only time says how fast they are
     return np.asarray(rows / positive_or_one(np.linalg.norm(rows, axis=2))[:, :, None])
 
 

@@ -23,6 +23,7 @@ from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     ROUNDING,
+    held_entries,
     judged,
     overflowed,
     rounding_energy,
@@ -113,7 +114,15 @@ class KalmanFilter(WindowedEstimator):
         bounds = ErrorBounds(weights, w_bound, v_bound, initial_error)
         loop = OpenLoop(FlowTable(weights), bounds)
         self.prepare(Recorder(loop, ScheduleClaim(NO_CLAIM), bounds.assumptions()), input_side)
-        self.state = self.initial_state(prior, prior_time)
+        self.start(prior, prior_time)
+
+    def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
+        """Forget all samples, and what they contradicted, and start again from a prior.
+
+        Raises ArgumentError as `initial_state`.
+        """
+        super().start(prior, prior_time)
+        self._begun = self.state.last  # the oldest node that is kept may be a later one, known otherwise
 
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         new, last, weights = self._incoming(state, sample), state.last, self.weights
@@ -200,7 +209,7 @@ class KalmanFilter(WindowedEstimator):
         Parameters
         ----------
         record : Measurements, DataFrame or iterable of (t, y, u)
-            As for `run`. In order of time, from the filter's prior on.
+            As for `run`. In order of time, from the filter's prior on, whatever it has taken in since.
 
         Returns
         -------
@@ -211,7 +220,7 @@ class KalmanFilter(WindowedEstimator):
         """
         fresh = copy(self)
         fresh.memory = np.inf
-        fresh.state = EstimatorState(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
+        fresh.state = fresh.initial_state(self._begun.x, self._begun.t)
         samples, origin = listed(record, self.plant)
         for item in samples:
             fresh.update(*triple(item))
@@ -227,6 +236,7 @@ class KalmanFilter(WindowedEstimator):
         for k, node in enumerate(nodes[1:], 1):
             j = at[node.t]
             known = min(k + REMEMBERED // 2, len(nodes) - 1)
+            covariance, _, radius = held_entries(covariances[j], abs(smoothed.nodes[j]), latest.radius)
             estimates.append(
                 fresh.recorder.proven(
                     fresh.state,
@@ -234,8 +244,8 @@ class KalmanFilter(WindowedEstimator):
                     Estimate(
                         node.t,
                         freeze(smoothed.nodes[j]),
-                        freeze(covariances[j]),
-                        latest.radius,
+                        freeze(covariance),
+                        radius,
                         latest.status,
                         certified=latest.certified,
                         note=latest.note,

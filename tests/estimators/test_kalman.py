@@ -65,6 +65,26 @@ def test_smoothing_nothing_gives_nothing():
     assert len(KalmanFilter(PLANT).smooth([])) == 0
 
 
+@pytest.mark.parametrize("bounds", [{}, {"w_bound": 1.0, "v_bound": 1.0, "initial_error": 1e-3}], ids=["none", "all"])
+def test_smoothing_begins_at_the_prior_whatever_the_filter_has_taken_in_since(bounds):
+    """The oldest node that is kept is none: its error is not bounded as that of the prior is."""
+    walk, record = sd.Plant([[0.0]], [[1.0]]), [(float(t), [t - 1.0]) for t in range(1, 41)]
+    fresh, used = sd.KalmanFilter(walk, **bounds), sd.KalmanFilter(walk, **bounds)
+    used.run(record)
+    assert used.state.nodes[0].number > 0
+    for rows in (record, [(40.1, [39.1]), (40.2, [39.2])]):
+        a, b = fresh.smooth(rows), used.smooth(rows)
+        assert np.array_equal(a.x, b.x)
+        assert np.array_equal(a.covariance, b.covariance)
+        assert np.array_equal(a.radii, b.radii)
+        if bounds:
+            assert all(each.certified and each.holds([each.t]) for each in b)
+    used.start([5.0], 39.0)
+    assert used.smooth([(40.0, [5.0])]).x == pytest.approx(
+        sd.KalmanFilter(walk, prior=[5.0], prior_time=39.0, **bounds).run([(40.0, [5.0])]).x
+    )
+
+
 def test_standard_estimator_with_dense_samples():
     mhe, schedule = standard_mhe(PLANT, 0.1, horizon=1.0, cost=CostFunction(eta=0.2))
     assert (mhe.weights.cost, schedule.period) == ("paper", 0.1)

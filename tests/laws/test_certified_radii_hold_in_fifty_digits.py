@@ -8,6 +8,7 @@ the banded route with a carried arrival cost, and the filter.
 from __future__ import annotations
 
 import argparse
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -114,6 +115,28 @@ def test_radii_of_the_carried_arrival_cost(seed):
 @pytest.mark.parametrize("seed", SEEDS[1:2])
 def test_radii_of_the_filter(seed):
     assert worst_miss(seed, 15, moving=False)[0] <= 0
+
+
+@pytest.mark.parametrize("kind", [MovingHorizonEstimator, KalmanFilter])
+def test_a_state_whose_error_has_decayed_away_is_known_to_its_digits_and_no_further(kind):
+    """x1' = -1000 x1 + u is u/1000 to within e^-1000, in rational numbers; its covariance underflows."""
+    plant = Plant([[-1000.0, 0.0], [0.0, -1.0]], [[0.0, 1.0]], B=np.ones((2, 1)), G=[[0.0], [1.0]])
+    more = {"horizon": 5.0} if kind is MovingHorizonEstimator else {}
+    found = kind(plant, w_bound=0.1, v_bound=0.1, initial_error=[0.1, 0.1], **more)
+    found.update(0.0, None, [0.7])
+    at, ahead, then = found.update(1.0, [0.6]), found.predict(2.0), found.update(2.0, [0.65])
+    for estimate in (at, ahead, then):
+        missed = abs(Fraction(estimate.x[0]) - Fraction(0.7) / 1000)
+        assert estimate.certified
+        assert missed <= Fraction(estimate.radii[0]) <= Fraction(estimate.ellipsoid_radii[0]) * (1 + Fraction(1e-3))
+        assert estimate.ellipsoid_radii[0] < 1e-12 * estimate.x[0]
+    if kind is KalmanFilter:
+        for estimate in (
+            kind(plant, w_bound=0.1, v_bound=0.1, initial_error=0.1)
+            .smooth([(0.0, None, [0.7]), (1.0, [0.6]), (2.0, [0.65])])
+            .estimates
+        ):
+            assert estimate.t == 0 or abs(Fraction(estimate.x[0]) - Fraction(0.7) / 1000) <= Fraction(estimate.radii[0])
 
 
 def test_without_the_rounding_the_law_is_broken(monkeypatch):

@@ -13,7 +13,14 @@ from sampling_design.estimators.online.evidence import EstimateAssumptions, Esti
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
-from sampling_design.estimators.online.verdict import CovariancePrecision, SolveVerdict, in_units_of, moved, passed
+from sampling_design.estimators.online.verdict import (
+    CovariancePrecision,
+    SolveVerdict,
+    held_entries,
+    in_units_of,
+    moved,
+    passed,
+)
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
@@ -103,9 +110,12 @@ class Recorder:
         """Return the node of a sample, whose window began at `start`, with its estimate; rounding widens the radius."""
         last, flow, drift, (x, Y, verdict, engine, note, cost, precision) = state.nodes[-1], new.flow, new.drift, solved
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
+        beta, status, sound, contradiction = verdict
+        wider, led, beta = held_entries(Y, led, beta)
+        if wider is not Y:
+            Y, precision = freeze(wider), None
         size, condition = in_units_of(Y, led, precision)
         loose = max(last.loose, flow.loose)
-        beta, status, sound, contradiction = verdict
         beta = beta * (1 + PROPAGATED * condition + loose) + moved(beta, size)
         estimate = self.estimate(
             new.t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note,
@@ -127,7 +137,8 @@ class Recorder:
         drift = state.drift(loop.table, node.t, t)
         x, Y, beta = loop.ahead(node, flow, drift)
         loop.refuse_overflow(flow, t, x, Y)
-        size, condition = in_units_of(Y, passed(node, flow, drift, x))
+        Y, led, beta = held_entries(Y, passed(node, flow, drift, x), beta)
+        size, condition = in_units_of(Y, led)
         beta = beta * (1 + PROPAGATED * condition + loop.weights.loose) + moved(beta, size)
         scheduled = node.scheduled and self.claim.nothing_missed(state.nodes[: at + 1], t)
         return self.estimate(

@@ -14,7 +14,7 @@ from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
-from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
+from sampling_design.accuracy.record_program import AGAIN, DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
 from sampling_design.accuracy.undetectable import OTHER_STATES, modes_with
 from sampling_design.checkers.check import verdict
@@ -83,7 +83,7 @@ class Disproof(PlainRecord):
     def verify(self) -> bool:
         """Whether the gains prove the factors, and that of all bounds above 1, evaluated without a solver."""
         program = _program(self.readings, self.scales)
-        proven = {which: program.growth(which, own) for which, own in self.gains.items()}
+        proven = {which: program.growth(which, own, AGAIN) for which, own in self.gains.items()}
         kept = all(factor <= 0 or proven[which] >= factor for which, factor in self.factors.items())
         return kept and min(self.factors["all"], proven["all"]) > 1
 
@@ -282,7 +282,7 @@ class Interval(TableRecord, PlainRecord):
         for k, row in enumerate(self.rows.matrix):
             for side, sign in enumerate((1.0, -1.0)):
                 own = program.upper(self.t, sign * row, self.gains[k, side])
-                proven = own.value
+                proven = own.again
                 if self.outer is not None:
                     proven = min(proven, sign * self.outer[k, 1 - side])
                 if not proven <= sign * ends[k, 1 - side]:

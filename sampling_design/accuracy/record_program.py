@@ -32,6 +32,8 @@ TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 
 BEYOND = 1e150  # a covariance that grows beyond it is as good as infinite: what it is made of would overflow
 HELD = 1e-13  # relative error with which nominal states and readings are held
+AGAIN = 0.5  # share of the room for rounding that a proof takes when it is evaluated again
+FLOWN = 4 * float(np.finfo(float).eps)  # the same of a flow over a panel of a gap: those of a gap are multiplied
 NOTHING = 1e-10  # a rest below this share of the gains' terms counts as none where the start is free: rounding
 LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
 CLOSED = 1e-2  # share of the half-width by which the adversary may fall short of it before cells are made finer
@@ -62,7 +64,7 @@ class RowEnd:
     """What gains prove: `value`, the upper end of a row.
 
     `bound` is that beyond the nominal state, `width` the part of it that comes from bounds, `short` by how much the
-    adversary of the program falls short of it.
+    adversary of the program falls short of it; `room` is what `value` has for rounding.
     """
 
     value: float
@@ -70,6 +72,12 @@ class RowEnd:
     width: float
     gains: Array
     short: float = 0.0
+    room: float = 0.0
+
+    @property
+    def again(self) -> float:
+        """What it must be at least, worked out once more with other roundings: `AGAIN` of the room is for that."""
+        return self.value - (1 - AGAIN) * self.room
 
 
 def _units(readings: Readings, lengths: Array) -> Array:
@@ -124,6 +132,11 @@ class RecordProgram:
     @cached_property
     def _quadrature(self) -> DisturbanceQuadrature:
         return DisturbanceQuadrature(self.gaps)
+
+    @cached_property
+    def _held(self) -> float:
+        """Relative error with which nominal states are held: those of its gaps, panel after panel."""
+        return HELD + FLOWN * sum(gap.third.size for gap in self.gaps)
 
     @cached_property
     def _gap_noise(self) -> Array:
@@ -454,11 +467,16 @@ class RecordProgram:
         residuals, start, w, v = self.costs(c, gains)
         nominal = self.readings.nominal_at(t)
         value = float(row @ nominal) + residuals
-        width = (added + start + w + v) * (1 + ROUNDING)
+        exact = added + start + w + v
+        width = exact * (1 + ROUNDING)
         read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
-        end = value + width + HELD * float(terms)
-        return RowEnd(end if np.isfinite(end) else np.inf, residuals + width, width, gains)
+        ahead = self.table.open(t - read.times[-1]).third.size if t > read.times[-1] else 0
+        held = (self._held + FLOWN * ahead) * float(terms)
+        end = value + width + held
+        if not np.isfinite(end):
+            return RowEnd(np.inf, residuals + width, width, gains)
+        return RowEnd(end, residuals + width, width, gains, room=ROUNDING * exact + held)
 
     def costs(self, c: Array, gains: Array) -> tuple[float, float, float, float]:
         """Return what gains cost for a target (n,) in D coordinates at the last time: residuals, start, w and v.
@@ -501,14 +519,17 @@ class RecordProgram:
                 break
         return best[1]
 
-    def growth(self, which: str, gains: Array) -> float:
-        """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it."""
+    def growth(self, which: str, gains: Array, room: float = 1.0) -> float:
+        """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it.
+
+        `room` is the share of what is left to rounding, as `RowEnd.again`.
+        """
         residuals, start, w, v = self.costs(np.zeros(len(self.table.D)), gains)
         fixed = {"all": 0.0, "w": start + v, "v": start + w}[which]
         grown = {"all": start + w + v, "w": w, "v": v}[which]
         read = self.readings
-        error = HELD * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
-        needed = -residuals - fixed * (1 + ROUNDING) - error
+        error = self._held * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
+        needed = -residuals - fixed * (1 + room * ROUNDING) - room * error
         if needed <= 0:
             return 0.0
-        return needed / (grown * (1 + ROUNDING)) if grown > 0 else np.inf
+        return needed / (grown * (1 + room * ROUNDING)) if grown > 0 else np.inf

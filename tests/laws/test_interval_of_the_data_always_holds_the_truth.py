@@ -6,6 +6,7 @@ sample or well after it. RUNS can be raised: in 1008 runs of other seeds every i
 """
 
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -71,6 +72,20 @@ def adversarial_run(name, seed):
         prior_time=0.0,
     )
     return found, x
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_interval_of_an_estimator_verifies_whatever_gaps_it_has_met(seed):
+    """Nothing disturbs an undamped plant: ends are all rounding, and gaps of samples as they come round otherwise."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3))
+    plant = sd.Plant(A - A.T, rng.normal(size=(2, 3)), G=rng.normal(size=(3, 1)))
+    found = sd.MovingHorizonEstimator(plant, horizon=5.0, w_bound=0.0, v_bound=1.0, initial_error=1.0)
+    for t in np.cumsum(rng.uniform(0.1, 1.0, 8)):
+        interval = found.update(t, rng.uniform(-0.2, 0.2, 2)).interval()
+        assert interval.disproof is None
+        assert interval.verify()
+        assert not replace(interval, upper=interval.lower).verify()
 
 
 @pytest.mark.parametrize("name", few(CASES, 1))

@@ -89,6 +89,8 @@ class SamplingFamily(PlainRecord, ABC):
     kind: ClassVar[str]
     remembers: ClassVar[bool] = True
     """Whether more than the last gap decides what may come next."""
+    judges_pieces: ClassVar[bool] = True
+    """Whether `contains` says of any finite piece whether a member may begin so; else least and longest gaps do."""
 
     def __init_subclass__(cls, kind: str | None, **others: object) -> None:
         super().__init_subclass__(**others)
@@ -113,6 +115,11 @@ class SamplingFamily(PlainRecord, ABC):
     @abstractmethod
     def d_max(self) -> float:
         """Every gap, and the time of the first sample, is at most this."""
+
+    def longest_next(self, times: Array) -> float:
+        """Longest gap that may follow samples at some times (N,) of a member, counted from its start or a sample."""
+        del times
+        return self.d_max
 
     @property
     @abstractmethod

@@ -8,6 +8,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
@@ -76,6 +77,8 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
     count: int
     spacing: float
     time_unit: str | None = field(default=None, kw_only=True)
+
+    judges_pieces = False  # a piece shorter than a window does not belong, and a member may begin with it
 
     _plain = "kind window count spacing time_unit?"
 
@@ -193,6 +196,10 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             gaps.append(pick(rng, low, max(low, high)))
             time += gaps[-1]
         return Schedule.from_gaps(gaps, time_unit=self.time_unit)
+
+    def longest_next(self, times: Array) -> float:
+        """What the windows leave that begin with the last samples, if the others come as soon as they may."""
+        return self._room(tuple(np.diff(times, prepend=0.0)[::-1]))
 
     @property
     def levels_of_memory(self) -> int:

@@ -13,6 +13,7 @@ from sampling_design import (
     PeriodicSchedule,
     Plant,
     Schedule,
+    SpacedWindows,
     certify,
 )
 from sampling_design.accuracy.readings import BelowDetection
@@ -138,15 +139,15 @@ def test_lost_samples_are_counted():
     assert not fits(10.0, 12.0, 14.0)
     assert not fits(10.0, 13.0)
     assert not fits(10.0, 11.0, 12.5)
-    assert watch.nothing_missed(10.0, 12.0, first=False)
-    assert not watch.nothing_missed(10.0, 12.1, first=False)
+    assert watch.nothing_missed([10.0], 12.0, first=False)
+    assert not watch.nothing_missed([10.0], 12.1, first=False)
 
 
 def test_past_the_end_of_a_finite_schedule_nothing_is_on_it():
     watch, one = ScheduleWatch(Schedule([1.0, 2.0]), "s"), np.ones(1)
     assert watch.sample_fits(np.array([1.0, 2.0]), one, first=False)
     assert not watch.sample_fits(np.array([2.0, 3.0]), one, first=False)
-    assert not watch.nothing_missed(2.0, 2.5, first=False)
+    assert not watch.nothing_missed([2.0], 2.5, first=False)
     assert not ScheduleWatch(Schedule([]), "s").sample_fits(np.array([0.0, 1.0]), one, first=True)
 
 
@@ -172,10 +173,52 @@ def test_rounded_stamps_far_from_zero_keep_a_range_of_gaps():
         assert not watch.sample_fits([*times, times[-1] + 1.2001], np.ones(1), False)
 
 
-def test_a_family_plans_every_output():
-    watch = ScheduleWatch(GapRange(0.3, 1.2), "s")
+EVERY = PeriodicSchedule([1.0])
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [EVERY, Schedule([1.0, 2.0, 3.0]), Jitter(EVERY, 0.1), LostSamples(EVERY, most=1, of=3), GapRange(0.3, 1.2)],
+    ids=lambda plan: type(plan).__name__,
+)
+def test_what_names_no_outputs_plans_every_one(plan):
+    watch = ScheduleWatch(plan, "s")
     assert watch.sample_fits([1.0, 2.0], np.ones(2), False)
     assert not watch.sample_fits([1.0, 2.0], np.array([1.0, 0.0]), False)
+
+
+def test_an_estimate_from_a_sample_without_one_output_keeps_no_claim_of_a_certificate():
+    mhe = MovingHorizonEstimator(TWO, certify(TWO, EVERY, eta=0.3, P2=np.eye(2)))
+    read = [[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]]
+    assert [mhe.update(t, y).on_schedule for t, y in zip([1.0, 2.0, 3.0], read, strict=True)] == [True, False, False]
+
+
+@pytest.mark.parametrize("zero", [0.0, UNIX])
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_are_on_schedule_while_the_windows_that_began_can_still_be_filled(seed, zero):
+    """Against the windows themselves, those to come filled as soon as may be: drawn members, some with a time moved."""
+    T, k, spacing, rng = 3.0, 3, 0.25, np.random.default_rng(seed)
+    family = SpacedWindows(window=T, count=k, spacing=spacing)
+    watch, times, one = ScheduleWatch(family, "s"), family.draw(rng, samples=12).times.copy(), np.ones(1)
+    if seed % 2:
+        times[5:] += 0.4
+    times = np.concatenate([[0.0], times])
+
+    def may_begin(piece):
+        filled = np.append(piece, piece[-1] + spacing * np.arange(1, k + 1))
+        windows = np.all(filled[k:] - filled[:-k] <= T + 1e-6)
+        return bool(windows and np.all(np.diff(piece[1:]) >= spacing - 1e-6))
+
+    ahead, found = np.arange(0.06, T, 0.1), []
+    for n in range(2, len(times) + 1):
+        piece, clock = times[:n], zero + times[:n]
+        found.append(watch.sample_fits(clock, one, n == 2))
+        assert found[-1] == may_begin(piece)
+        if not found[-1]:
+            break
+        said = [watch.nothing_missed(clock, clock[-1] + gap, False) for gap in ahead]
+        assert said == [gap < spacing or may_begin(np.append(piece, piece[-1] + gap)) for gap in ahead]
+    assert found[-1] != bool(seed % 2)
 
 
 def test_a_limit_is_no_sample_of_the_schedule_and_disturbs_none():
@@ -199,5 +242,5 @@ def test_the_clock_of_the_schedule_may_show_anything_at_its_zero(schedule):
         fits = [watch.sample_fits(times[: k + 1], np.ones(1), k == 1) for k in (1, 2, 3)]
         assert fits == [True] * 3
         assert not watch.sample_fits([zero + 1.0, zero + 1.45], np.ones(1), False)
-        assert watch.nothing_missed(zero + 1.0, zero + 1.6, False)
-        assert not watch.nothing_missed(zero + 1.0, zero + 2.2, False)
+        assert watch.nothing_missed([zero + 1.0], zero + 1.6, False)
+        assert not watch.nothing_missed([zero + 1.0], zero + 2.2, False)

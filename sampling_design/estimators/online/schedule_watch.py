@@ -115,17 +115,18 @@ class ScheduleWatch:
         if k is None or abs(self._planned(k) - t) > self._room(t):
             return False
         wanted = self.nominal.outputs
-        if wanted is not None and not bool(np.all(mask[wanted[k % len(self.nominal)]] > 0)):
+        read = mask if wanted is None else mask[wanted[k % len(self.nominal)]]
+        if not bool(np.all(read > 0)):
             return False
         missed = k - self._next_scheduled(before, first)
         return missed == 0 or (0 < missed <= self.losses[0] and self._few_lost(times, k, first))
 
-    def nothing_missed(self, before: float, t: float, first: bool) -> bool:
-        """Whether no sample was due after the one at `before` and ahead of t."""
+    def nothing_missed(self, times: Sequence[float], t: float, first: bool) -> bool:
+        """Whether no sample was due after the last of `times` and ahead of t."""
         if self.nominal is None:
-            longest = np.inf if self.family is None else self.family.d_max
-            return t - before <= longest + self._room(t)
-        before, t = before - self.zero, t - self.zero
+            longest = np.inf if self.family is None else self.family.longest_next(self._counted(times))
+            return t - times[-1] <= longest + self._room(t)
+        before, t = times[-1] - self.zero, t - self.zero
         last = self._next_scheduled(before, first) + self.losses[0]
         if not self.nominal.endless and last >= len(self.nominal):
             return False
@@ -182,16 +183,21 @@ class ScheduleWatch:
         if family is None:
             return True
         gap, room = float(times[-1] - times[-2]), self._room(float(times[-1]))
-        if gap > family.d_max + room:
+        if gap > family.longest_next(self._counted(times[:-1])) + room:
             return False
         if first:
             return True
         if gap < family.min_gap - room:
             return False
-        if not family.remembers:  # the gaps before were looked at when they came
+        if not (family.remembers and family.judges_pieces):  # the gaps before were looked at when they came
             return True
-        samples = np.asarray(times[1:]) - times[0]
+        samples = self._counted(times)
         return self.tolerance > 0 or samples.size < 2 or family.contains(Schedule(samples))
+
+    @staticmethod
+    def _counted(times: Sequence[float]) -> Array:
+        """Times of samples, counted from the oldest node."""
+        return np.asarray(times[1:], dtype=float) - times[0]
 
 
 class ScheduleClaim:
@@ -227,7 +233,7 @@ class ScheduleClaim:
 
     def _none_missed(self, i: int | None, nodes: Sequence[HistoryNode], t: float) -> bool:
         before, first = _taken(i, nodes)
-        return bool(before) and self.watches[i].nothing_missed(before[-1].t, t, first)
+        return bool(before) and self.watches[i].nothing_missed([node.t for node in before], t, first)
 
     def fits(self, state: EstimatorState, t: float, mask: Array) -> bool:
         """Whether everything up to and with a sample at t is on schedule.

@@ -85,6 +85,27 @@ def test_smoothing_begins_at_the_prior_whatever_the_filter_has_taken_in_since(bo
     )
 
 
+def test_smoothing_looks_back_past_a_gap_over_which_a_state_decays_beyond_numbers():
+    """Two states that share nothing are smoothed as each by itself; of the fast one later samples say nothing."""
+    both = sd.Plant([[-1000.0, 0.0], [0.0, -1.0]], np.eye(2), G=[[0.0], [1.0]])
+    slow = sd.Plant([[-1.0]], [[1.0]])
+    record = [(0.0, [0.5, 0.2]), (0.001, [0.2, 0.2]), (1.0, [0.0, 0.1]), (2.0, [0.0, 0.05])]
+
+    def smoothed(plant, rows):
+        n = plant.n_states
+        cost = sd.CostFunction(P2=np.eye(n), Qw=[[1.0]], R=9 * np.eye(n), Qv=9 * np.eye(n), eta=0.1)
+        found = sd.KalmanFilter(plant, cost=cost, w_bound=0.1, v_bound=np.full(n, 0.1), initial_error=np.ones(n))
+        return found.smooth(rows)
+
+    found, few = smoothed(both, record), smoothed(both, record[:2])
+    alone = smoothed(slow, [(t, y[1:]) for t, y in record])
+    discount = np.exp(0.1 * (2.0 - 0.001))  # covariances are in units of the last sample
+    assert found.x[:, 1] == pytest.approx(alone.x[:, 0], rel=1e-12)
+    assert found.covariance[:, 1, 1] == pytest.approx(alone.covariance[:, 0, 0], rel=1e-9)
+    assert found.x[:2, 0] == pytest.approx(few.x[:, 0], rel=1e-12)
+    assert found.covariance[:2, 0, 0] == pytest.approx(discount * few.covariance[:, 0, 0], rel=1e-9)
+
+
 def test_standard_estimator_with_dense_samples():
     mhe, schedule = standard_mhe(PLANT, 0.1, horizon=1.0, cost=CostFunction(eta=0.2))
     assert (mhe.weights.cost, schedule.period) == ("paper", 0.1)

@@ -23,6 +23,8 @@ from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import root_update
 from sampling_design.records.arrays import Array
 
+VANISHED = float(np.sqrt(np.finfo(float).tiny))  # a root below it has no square
+
 
 def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     """Return the minimiser by orthogonal factorisations, forward and backward.
@@ -51,10 +53,8 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
         stacked = np.zeros((n + max(n, width), 2 * n))
         stacked[:n, :n], stacked[:n, n:] = root.T @ flow.F.T, root.T
         stacked[n : n + width, :n] = flow.root.T / scale[j + 1]
-        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
-        gains[j] = lapack.dtrtrs(triangle[:n, :n], triangle[:n, n:])[0].T
-        roots[j] = triangle[n : 2 * n, n:].T
-        root, mean = triangle[:n, :n].T, flow.F @ mean + window.defect[j]
+        root, gains[j], roots[j] = _passed(stacked, n)
+        mean = flow.F @ mean + window.defect[j]
     roots[-1] = root
     nodes = filtered
     for j in range(count - 2, -1, -1):
@@ -64,6 +64,17 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     margin = DUAL_MARGIN * (cost + float(np.einsum("k,ki,ki->", window.discount, fit, fit)))
     found = EstimateDeviations(roots, gains)
     return WindowEstimate(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
+
+
+def _passed(stacked: Array, n: int) -> tuple[Array, Array, Array]:
+    """P, G and D of stacked rows. A state that has decayed beyond numbers says nothing of what it was: no gain."""
+    said = np.abs(stacked[:, :n]).max(axis=0) > VANISHED
+    m = int(said.sum())
+    R = np.asarray(np.linalg.qr(stacked if m == n else stacked[:, np.append(said, np.ones(n, dtype=bool))], mode="r"))
+    P, G = np.zeros((2, n, n))
+    P[said, :m] = R[:m, :m].T
+    G[:, said] = lapack.dtrtrs(R[:m, :m], R[:m, m:])[0].T
+    return P, G, R[m : m + n, m:].T
 
 
 def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:

@@ -85,25 +85,28 @@ def test_smoothing_begins_at_the_prior_whatever_the_filter_has_taken_in_since(bo
     )
 
 
-def test_smoothing_looks_back_past_a_gap_over_which_a_state_decays_beyond_numbers():
-    """Two states that share nothing are smoothed as each by itself; of the fast one later samples say nothing."""
-    both = sd.Plant([[-1000.0, 0.0], [0.0, -1.0]], np.eye(2), G=[[0.0], [1.0]])
-    slow = sd.Plant([[-1.0]], [[1.0]])
-    record = [(0.0, [0.5, 0.2]), (0.001, [0.2, 0.2]), (1.0, [0.0, 0.1]), (2.0, [0.0, 0.05])]
+@pytest.mark.parametrize("turned", [False, True])
+def test_smoothing_looks_back_past_a_gap_over_which_states_decay_beyond_numbers(turned):
+    """Modes that share nothing are smoothed each by itself, in any coordinates; later samples say nothing of fast ones."""
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0] if turned else np.eye(3)
+    A, G = np.diag([-1000.0, -1.0, -300.0]), np.array([[0.0], [1.0], [0.0]])
+    all_three, slow = sd.Plant(Q @ A @ Q.T, Q.T, G=Q @ G), sd.Plant([[-1.0]], [[1.0]])
+    record = [(0.0, [0.5, 0.2, 0.1]), (0.001, [0.2, 0.2, 0.1]), (1.0, [0.0, 0.1, 0.0]), (2.0, [0.0, 0.05, 0.0])]
 
-    def smoothed(plant, rows):
+    def smoothed(plant, rows, Q):
         n = plant.n_states
         cost = sd.CostFunction(P2=np.eye(n), Qw=[[1.0]], R=9 * np.eye(n), Qv=9 * np.eye(n), eta=0.1)
         found = sd.KalmanFilter(plant, cost=cost, w_bound=0.1, v_bound=np.full(n, 0.1), initial_error=np.ones(n))
-        return found.smooth(rows)
+        record = found.smooth(rows)
+        return record.x @ Q, np.einsum("ji,kjl,li->ki", Q, record.covariance, Q)
 
-    found, few = smoothed(both, record), smoothed(both, record[:2])
-    alone = smoothed(slow, [(t, y[1:]) for t, y in record])
+    (x, own), (few, others) = smoothed(all_three, record, Q), smoothed(all_three, record[:2], Q)
+    alone, variance = smoothed(slow, [(t, y[1:2]) for t, y in record], np.eye(1))
     discount = np.exp(0.1 * (2.0 - 0.001))  # covariances are in units of the last sample
-    assert found.x[:, 1] == pytest.approx(alone.x[:, 0], rel=1e-12)
-    assert found.covariance[:, 1, 1] == pytest.approx(alone.covariance[:, 0, 0], rel=1e-9)
-    assert found.x[:2, 0] == pytest.approx(few.x[:, 0], rel=1e-12)
-    assert found.covariance[:2, 0, 0] == pytest.approx(discount * few.covariance[:, 0, 0], rel=1e-9)
+    assert x[:, 1] == pytest.approx(alone[:, 0], rel=1e-9)
+    assert own[:, 1] == pytest.approx(variance[:, 0], rel=1e-9)
+    assert x[:2, [0, 2]] == pytest.approx(few[:, [0, 2]], rel=1e-9)
+    assert own[:2, [0, 2]] == pytest.approx(discount * others[:, [0, 2]], rel=1e-9)
 
 
 def test_standard_estimator_with_dense_samples():

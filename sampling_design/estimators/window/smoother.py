@@ -24,6 +24,7 @@ from sampling_design.numerics.filtering import root_update
 from sampling_design.records.arrays import Array
 
 VANISHED = float(np.sqrt(np.finfo(float).tiny))  # a root below it has no square
+HIDDEN = 1e-14  # share of a column below which what others leave of it is rounding
 
 
 def solve_square_root(window: EstimationWindow) -> WindowEstimate:
@@ -67,14 +68,20 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
 
 
 def _passed(stacked: Array, n: int) -> tuple[Array, Array, Array]:
-    """P, G and D of stacked rows. A state that has decayed beyond numbers says nothing of what it was: no gain."""
-    said = np.abs(stacked[:, :n]).max(axis=0) > VANISHED
-    m = int(said.sum())
-    R = np.asarray(np.linalg.qr(stacked if m == n else stacked[:, np.append(said, np.ones(n, dtype=bool))], mode="r"))
+    """P, G and D of stacked rows. What has decayed beyond numbers says nothing of what it was: it has no gain."""
+    size = np.sqrt(np.einsum("ki,ki->i", stacked[:, :n], stacked[:, :n]))
+    order, m = np.arange(n), n
+    while True:
+        R = np.asarray(np.linalg.qr(np.hstack([stacked[:, order], stacked[:, n:]]), mode="r"))
+        lost = np.abs(R.diagonal()[:m]) <= np.maximum(HIDDEN * size[order[:m]], VANISHED)
+        if not lost.any():
+            break
+        order, m = np.append(np.delete(order, at := int(np.argmax(lost))), order[at]), m - 1
     P, G = np.zeros((2, n, n))
-    P[said, :m] = R[:m, :m].T
-    G[:, said] = lapack.dtrtrs(R[:m, :m], R[:m, m:])[0].T
-    return P, G, R[m : m + n, m:].T
+    P[order, :m] = R[:m, :n].T
+    G[:, order[:m]] = lapack.dtrtrs(R[:m, :m], R[:m, n:])[0].T
+    rest = R[m:, n:]
+    return P, G, (rest if m == n else np.asarray(np.linalg.qr(rest, mode="r"))).T
 
 
 def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:

@@ -87,7 +87,7 @@ def test_smoothing_begins_at_the_prior_whatever_the_filter_has_taken_in_since(bo
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_smoothing_looks_back_past_a_gap_over_which_states_decay_beyond_numbers(turned):
-    """Modes that share nothing are smoothed each by itself, in any coordinates; later samples say nothing of fast ones."""
+    """Modes that share nothing are smoothed each by itself in any coordinates; fast ones by what came before a gap."""
     Q = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0] if turned else np.eye(3)
     A, G = np.diag([-1000.0, -1.0, -300.0]), np.array([[0.0], [1.0], [0.0]])
     all_three, slow = sd.Plant(Q @ A @ Q.T, Q.T, G=Q @ G), sd.Plant([[-1.0]], [[1.0]])

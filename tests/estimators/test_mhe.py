@@ -499,3 +499,25 @@ def test_constraints_say_what_they_hold_and_refuse_what_they_cannot():
         Constraints(engine=np.eye(2))
     with pytest.raises(ArgumentError, match="`check_spacing` must be positive"):
         Constraints(check_spacing=0.0)
+
+
+def test_constraints_bind_past_a_gap_over_which_states_decay_beyond_numbers_in_any_coordinates():
+    """The bound is on the slow mode: its estimates are those of that mode alone."""
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    A, G = np.diag([-1000.0, -1.0, -300.0]), np.array([[0.0], [1.0], [0.0]])
+    record = [(0.0, [0.5, 0.2, 0.1]), (0.001, [0.2, 0.2, 0.1]), (1.0, [0.0, 0.4, 0.0]), (2.0, [0.0, 0.35, 0.0])]
+
+    def followed(plant, rows, row):
+        n = plant.n_states
+        cost = CostFunction(P2=np.eye(n), Qw=[[1.0]], R=9 * np.eye(n), Qv=9 * np.eye(n), eta=0.1)
+        bounds = {"w_bound": 0.3, "v_bound": np.full(n, 0.3), "initial_error": np.ones(n)}
+        below = Constraints(x=ConvexSet.halfspaces(row[None], [0.15]))
+        mhe = MovingHorizonEstimator(plant, horizon=10.0, cost=cost, constraints=below, **bounds)
+        found = [mhe.update(*sample) for sample in rows]
+        assert all(each.certified and each.engine == "active set" for each in found)
+        return np.array([row @ each.x for each in found])
+
+    slow = followed(Plant([[-1.0]], [[1.0]]), [(t, y[1:2]) for t, y in record], np.ones(1))
+    for R in (np.eye(3), Q):
+        found = followed(Plant(R @ A @ R.T, R.T, G=R @ G), record, R[:, 1])
+        assert found == pytest.approx(slow, rel=1e-9)

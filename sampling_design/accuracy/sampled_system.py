@@ -419,7 +419,14 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], li
     for following in maps[:-1]:
         P.append(following(P[-1]))
     after = [information_update(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
-    return P, [np.asarray(np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))), dtype=np.float64) for X in after]
+    return P, [_root_of(X) for X in after]
+
+
+def _root_of(X: Array) -> Array:
+    """A root of a covariance, of what has decayed beyond numbers beside the rest: any coordinates serve it."""
+    size = np.diag(X)
+    least = np.finfo(float).eps ** 2 * (float(size.max(initial=0.0)) or 1.0)
+    return np.asarray(np.linalg.cholesky(X + np.diag(np.maximum(1e-15 * size, least))), dtype=np.float64)
 
 
 def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Array]]:

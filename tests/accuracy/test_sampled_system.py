@@ -79,3 +79,16 @@ def test_a_filter_that_does_not_hold_what_grows_is_told_in_time():
     deaf = replace(found, samples=tuple(replace(each, K=0 * each.K) for each in found.samples))
     with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):
         deaf._filtered  # noqa: B018
+
+
+def test_a_state_that_decays_beyond_numbers_between_samples_leaves_the_others_what_they_are():
+    """Nothing drives it, so that its covariance underflows: any coordinates serve it."""
+    slow, known = sd.Plant([[-1.0]], [[1.0]]), {"w_bound": [0.3], "rtol": 0.05}
+    both = sd.Plant(np.diag([-1000.0, -1.0]), np.eye(2), G=[[0.0], [1.0]])
+    alone = sd.guaranteed_accuracy(slow, sd.PeriodicSchedule([1.0]), v_bound=[0.3], **known)
+    found = sd.guaranteed_accuracy(both, sd.PeriodicSchedule([1.0]), v_bound=[0.3, 0.3], **known)
+    assert found.verify()
+    assert found.lower[1] <= alone.upper[0] * (1 + 1e-9)
+    assert alone.lower[0] <= found.upper[1] * (1 + 1e-9)
+    assert found.upper[1] <= 1.06 * alone.upper[0]
+    assert found.lower[0] == 0

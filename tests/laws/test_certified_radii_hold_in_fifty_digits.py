@@ -139,6 +139,20 @@ def test_a_state_whose_error_has_decayed_away_is_known_to_its_digits_and_no_furt
             assert estimate.t == 0 or abs(Fraction(estimate.x[0]) - Fraction(0.7) / 1000) <= Fraction(estimate.radii[0])
 
 
+def test_a_row_in_which_an_ellipsoid_is_flat_is_known_to_rounding_and_no_further():
+    """In mixed coordinates of a plant whose fast modes are gone, x = 0 along them to within e^-300."""
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    A, G = np.diag([-1000.0, -1.0, -300.0]), np.array([[0.0], [1.0], [0.0]])
+    found = KalmanFilter(Plant(Q @ A @ Q.T, Q.T, G=Q @ G), w_bound=0.3, v_bound=np.full(3, 0.3), initial_error=1.0)
+    for t in (0.0, 1.0, 2.0):
+        estimate = found.update(t, [0.0, 0.1, 0.0])
+    for each in (estimate, found.predict(5.0)):
+        interval = each.interval(of=Q.T[[0, 2]])
+        assert np.all(interval.lower <= -1e-17)
+        assert np.all(interval.upper >= 1e-17)
+        assert np.all(interval.radii < 1e-6)
+
+
 def test_without_the_rounding_the_law_is_broken(monkeypatch):
     for room, name in ((verdict, "ROUNDED"), (recorder, "PROPAGATED"), (flows, "COVARIANCE_ERROR")):
         monkeypatch.setattr(room, name, 0.0)

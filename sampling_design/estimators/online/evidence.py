@@ -193,11 +193,12 @@ class EstimateEvidence:
 
 
 def _deviations(rows: Array, Y: Array) -> Array:
-    """sqrt(c'Yc) of each row, also where the squares of its terms overflow."""
+    """sqrt(c'Yc) of each row, also where the squares of its terms overflow, and no less than rounding leaves of it."""
     size = np.sqrt(np.maximum(np.diag(Y), 0.0))
     unit = np.where(size > 0, size, 1.0)
     terms = rows * size
     largest = np.abs(terms).max(axis=1, initial=0.0)
     shares = terms / np.where(largest > 0, largest, 1.0)[:, None]
     square = np.einsum("ri,ij,rj->r", shares, Y / unit[:, None] / unit, shares)
-    return np.asarray(largest * np.sqrt(np.maximum(square, 0.0)))
+    lost = len(Y) * np.finfo(float).eps * np.sum(np.abs(shares), axis=1) ** 2
+    return np.asarray(largest * np.sqrt(np.maximum(square, 0.0) + lost))

@@ -91,15 +91,16 @@ def _as_typed(drawn: object) -> None:
 
     artists = [np.ravel(np.asarray(drawn, dtype=object))[0].figure]
     for artist in artists:
-        # what stands at other ticks are numbers and dates, and to ask for them makes them all
-        bare = isinstance(artist, Axis) and not isinstance(artist.get_major_locator(), FixedLocator)
-        artists += [artist.label] if bare else artist.get_children()
-    for text in artists:
-        if isinstance(text, Text) and text.get_text().count("$") > 1:
-            try:
-                MathTextParser("path").parse(text.get_text())
-            except ValueError:
-                text.set_parse_math(False)
+        match artist:
+            case Text() if artist.get_text().count("$") > 1:
+                try:
+                    MathTextParser("path").parse(artist.get_text())
+                except ValueError:
+                    artist.set_parse_math(False)
+            case Axis() if type(artist.get_major_locator()) is not FixedLocator:
+                artists.append(artist.label)  # at its ticks are numbers and dates, and to ask for them makes them all
+            case _:
+                artists += artist.get_children()
 
 
 def _check_axes(ax: object) -> None:

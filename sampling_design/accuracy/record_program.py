@@ -134,7 +134,7 @@ class RecordProgram:
         return DisturbanceQuadrature(self.gaps)
 
     @cached_property
-    def _held(self) -> float:
+    def _rounded(self) -> float:
         """Relative error with which nominal states are held: those of its gaps, panel after panel."""
         return HELD + FLOWN * sum(gap.third.size for gap in self.gaps)
 
@@ -472,7 +472,7 @@ class RecordProgram:
         read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         ahead = self.table.open(t - read.times[-1]).third.size if t > read.times[-1] else 0
-        held = (self._held + FLOWN * ahead) * float(terms)
+        held = (self._rounded + FLOWN * ahead) * float(terms)
         end = value + width + held
         if not np.isfinite(end):
             return RowEnd(np.inf, residuals + width, width, gains)
@@ -528,7 +528,7 @@ class RecordProgram:
         fixed = {"all": 0.0, "w": start + v, "v": start + w}[which]
         grown = {"all": start + w + v, "w": w, "v": v}[which]
         read = self.readings
-        error = self._held * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
+        error = self._rounded * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
         needed = -residuals - fixed * (1 + room * ROUNDING) - room * error
         if needed <= 0:
             return 0.0

@@ -33,7 +33,7 @@ TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 BEYOND = 1e150  # a covariance that grows beyond it is as good as infinite: what it is made of would overflow
 HELD = 1e-13  # relative error with which nominal states and readings are held
 AGAIN = 0.5  # share of the room for rounding that a proof takes when it is evaluated again
-FLOWN = 4 * float(np.finfo(float).eps)  # the same of a flow over a panel of a gap: those of a gap are multiplied
+FLOW_HELD = 4 * float(np.finfo(float).eps)  # the same of a flow over a panel of a gap: those of a gap are multiplied
 NOTHING = 1e-10  # a rest below this share of the gains' terms counts as none where the start is free: rounding
 LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
 CLOSED = 1e-2  # share of the half-width by which the adversary may fall short of it before cells are made finer
@@ -136,7 +136,7 @@ class RecordProgram:
     @cached_property
     def _rounded(self) -> float:
         """Relative error with which nominal states are held: those of its gaps, panel after panel."""
-        return HELD + FLOWN * sum(gap.third.size for gap in self.gaps)
+        return HELD + FLOW_HELD * sum(gap.third.size for gap in self.gaps)
 
     @cached_property
     def _gap_noise(self) -> Array:
@@ -472,7 +472,7 @@ class RecordProgram:
         read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         ahead = self.table.open(t - read.times[-1]).third.size if t > read.times[-1] else 0
-        held = (self._rounded + FLOWN * ahead) * float(terms)
+        held = (self._rounded + FLOW_HELD * ahead) * float(terms)
         end = value + width + held
         if not np.isfinite(end):
             return RowEnd(np.inf, residuals + width, width, gains)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.linalg import forced_flow
+from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -293,6 +293,43 @@ class Readings:
     def below(self) -> Mask:
         """(R,) one-sided rows."""
         return np.array([row.below for rows in self.rows for row in rows], dtype=bool)
+
+    @cached_property
+    def units(self) -> Array:
+        """(R,) the size of the noise of each row, of an exact one what the start and w do to it: for scaling only.
+
+        Where neither does anything, how far states that the noise of others hides move it.
+        """
+        exact, H, lengths = (self.size == 0) & ~self.below, self.H, np.diff(self.times)
+        if not exact.any():
+            return np.where(self.size > 0, self.size, 1.0)
+        covariance = np.zeros((H.shape[1], H.shape[1]))
+        if lengths.size:
+            with np.errstate(over="ignore", invalid="ignore"):
+                W = discounted_flow(self.A, self.G @ self.G.T, lengths)[1].mean(axis=0)
+            covariance = np.nan_to_num(W) * float(np.mean(lengths))
+        if not self.start.unbounded:
+            root = self.start.root
+            covariance[: len(root), : len(root)] += root @ root.T
+        moved = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", H, covariance, H), 0.0))
+        size, noisy = np.linalg.norm(H, axis=1), (self.size > 0) & ~self.below
+        most = float(np.max(size[noisy] / self.size[noisy], initial=0.0))
+        moved = np.where(moved > 0, moved, np.where(size > 0, size, 1.0) / (most if most > 0 else 1.0))
+        return np.where(exact, moved, np.where(self.size > 0, self.size, 1.0))
+
+    def per_time(self, values: Array) -> Array:
+        """Sums (K, ...) of values (R, ...) over the rows of each time."""
+        found = np.zeros((len(self.times), values.shape[1]))
+        np.add.at(found, self.nodes, values)
+        return found
+
+    def noise(self, gains: Array) -> float:
+        """The most that noise adds to the rows, times gains (R,)."""
+        cost = np.abs(gains) * self.size
+        if not self.ball:
+            return float(cost.sum())
+        square = self.per_time((np.where(self.below, 0.0, cost) ** 2)[:, None])
+        return float(np.sqrt(square).sum() + cost[self.below].sum())
 
     @cached_property
     def kept(self) -> Array | None:

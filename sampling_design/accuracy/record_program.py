@@ -80,29 +80,6 @@ class RowEnd:
         return self.value - (1 - AGAIN) * self.room
 
 
-def _units(readings: Readings, lengths: Array) -> Array:
-    """(R,) the size of the noise of each row, of an exact one what the start and w do to it: for scaling only.
-
-    Where neither does anything, how far states that the noise of others hides move it.
-    """
-    exact, H = (readings.size == 0) & ~readings.below, readings.H
-    if not exact.any():
-        return np.where(readings.size > 0, readings.size, 1.0)
-    covariance = np.zeros((H.shape[1], H.shape[1]))
-    if lengths.size:
-        with np.errstate(over="ignore", invalid="ignore"):
-            W = discounted_flow(readings.A, readings.G @ readings.G.T, lengths)[1].mean(axis=0)
-        covariance = np.nan_to_num(W) * float(np.mean(lengths))
-    if not readings.start.unbounded:
-        root = readings.start.root
-        covariance[: len(root), : len(root)] += root @ root.T
-    moved = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", H, covariance, H), 0.0))
-    size, noisy = np.linalg.norm(H, axis=1), (readings.size > 0) & ~readings.below
-    most = float(np.max(size[noisy] / readings.size[noisy], initial=0.0))
-    moved = np.where(moved > 0, moved, np.where(size > 0, size, 1.0) / (most if most > 0 else 1.0))
-    return np.where(exact, moved, np.where(readings.size > 0, readings.size, 1.0))
-
-
 class RecordProgram:
     """The program of one record, posed once; every row and both its ends are solves of it.
 
@@ -114,7 +91,7 @@ class RecordProgram:
         lengths = np.diff(readings.times)
         if table is None:
             counts = ~readings.below | (readings.size > 0)
-            H = np.where(counts[:, None], readings.H / _units(readings, lengths)[:, None], 0.0)
+            H = np.where(counts[:, None], readings.H / readings.units[:, None], 0.0)
             rows = np.split(H, readings.offsets[1:-1])[:-1]
             table = GapTable.suited(readings.A, readings.G, lengths, rows)
         self.table = table
@@ -331,7 +308,7 @@ class RecordProgram:
         unit, read = self.unit, self.readings
         gains = np.where(read.below, np.maximum(gains, 0.0), gains)
         meant, begun = self._meant(c, ahead)
-        open_ = begun - self._per_time(self.H * gains[:, None])
+        open_ = begun - self.readings.per_time(self.H * gains[:, None])
         open_[1:] -= meant
         e, errors = np.zeros(len(c)), np.zeros_like(begun)
         for k in range(len(begun) - 1, 0, -1):
@@ -416,14 +393,8 @@ class RecordProgram:
         """(K-1, n, n) how a difference of costates passes a time with the filter's gains, and the gap before."""
         H = np.where(self.readings.below[:, None], 0.0, self.H / self.unit[:, None])
         n = len(self.table.D)
-        squares = self._per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), n**2))
+        squares = self.readings.per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), n**2))
         return np.asarray(np.matmul(np.swapaxes(self.F, 1, 2), np.eye(n) - squares.reshape(-1, n, n)[1:]))
-
-    def _per_time(self, values: Array) -> Array:
-        """Sums (K, ...) of values (R, ...) over the rows of each time."""
-        found = np.zeros((len(self.readings.times), values.shape[1]))
-        np.add.at(found, self.readings.nodes, values)
-        return found
 
     @cached_property
     def _near(self) -> Array:
@@ -440,7 +411,7 @@ class RecordProgram:
 
     def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
         """(K-1, n) costates just after each gap, and the rest at the start."""
-        steps = self._per_time(self.H * gains[:, None])
+        steps = self.readings.per_time(self.H * gains[:, None])
         steps[self._aim] -= c
         found, g = np.empty_like(self.F[:, 0]), np.zeros_like(c)
         for step, costate, F in zip(steps[:0:-1], found[::-1], self.F[::-1], strict=True):
@@ -492,15 +463,7 @@ class RecordProgram:
             start = 0.0 if self._closed(c, gains, rest) else np.inf
         else:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
-        return float(gains @ read.residuals), start, w, self._noise(gains)
-
-    def _noise(self, gains: Array) -> float:
-        read = self.readings
-        cost = np.abs(gains) * read.size
-        if not read.ball:
-            return float(cost.sum())
-        square = self._per_time((np.where(read.below, 0.0, cost) ** 2)[:, None])
-        return float(np.sqrt(square).sum() + cost[read.below].sum())
+        return float(gains @ read.residuals), start, w, read.noise(gains)
 
     def least_growth(self, which: str) -> Array:
         """Return gains for the row 0 that prove best by how much bounds (`WHICH_BOUNDS`) would have to grow.

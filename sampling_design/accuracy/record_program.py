@@ -24,7 +24,7 @@ from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
 from sampling_design.numerics.filtering import propagate, update_with_gain
-from sampling_design.numerics.linalg import discounted_flow, products
+from sampling_design.numerics.linalg import products
 from sampling_design.records.arrays import Array
 
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)

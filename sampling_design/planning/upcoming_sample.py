@@ -195,8 +195,7 @@ class NextSample(Record):
         others = {name: t for name, t in self.alone.items() if np.isfinite(t) and (name,) != self.outputs}
         alone = [f"{name} alone {self._by(t)} {self._beside(t)}" for name, t in others.items()]
         first = f"Next sample {self._by(self.latest)} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
-        after = " If it is taken at the next allowed time after that, "
-        later = f"{after}{self._later(self.deadline)}." if self.deadline else ""
+        later = f" If taken at the next allowed time after that, {self._later(self.deadline)}." if self.deadline else ""
         return "; ".join([first, *alone]) + f"{self._unproven()}.{later}"
 
     def _by(self, t: float) -> str:

@@ -5,14 +5,8 @@ import pytest
 
 from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates.exact import riccati
-from sampling_design.certificates.exact.riccati import (
-    at_peak,
-    located,
-    periodic_riccati_solution,
-    refine,
-    supremum,
-    sweep,
-)
+from sampling_design.certificates.exact.riccati import periodic_riccati_solution, refine, supremum, sweep
+from sampling_design.certificates.exact.riccati_peak import at_peak, located
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.certificates.families.certify_family import certify_family
 from sampling_design.checkers.outcome import WorkLimit

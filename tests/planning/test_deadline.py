@@ -79,7 +79,7 @@ def test_the_goal_that_is_due_and_its_time_are_those_of_the_lines(plan, answers,
 def test_it_is_said_in_words_in_the_table_and_in_json(answers):
     found = answers[5.2]
     text = f"{found.deadline.goal} reaches its tolerance by {found.deadline.time:g} h"
-    assert found.explain().endswith(f"If it is taken at the next allowed time after that, {text}.")
+    assert found.explain().endswith(f"If taken at the next allowed time after that, {text}.")
     assert dict(found._rows())["later"] == text
     plain = json.loads(json.dumps(found.to_dict()))
     assert plain["deadline"]["goal"] == found.deadline.goal

@@ -61,7 +61,7 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
         alone_deadlines={outputs[0]: GoalDeadline("level", 40.0, 0.999)},
     )
     by = f"level reaches its tolerance by {told.date(day + 27.25):%a} 03:15"
-    assert later.explain() == f"{told.explain()} If it is taken at the next allowed time after that, {by}."
+    assert later.explain() == f"{told.explain()} If taken at the next allowed time after that, {by}."
     assert dict(later._rows())["later"] == by
     near = f"level comes to 0.999 of its tolerance by {told.date(40.0):%a} 16:00, and more is not ruled out"
     assert dict(later._rows())[f"{outputs[0]} alone"].endswith(f"; later: {near}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.riccati import located
+from sampling_design.certificates.exact.riccati_peak import located
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import measurement_update, propagate

@@ -14,7 +14,8 @@ from sampling_design.certificates.exact.canonical import canonical, origin_quest
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate, Witness
 from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, LOOK_WORK, ROOM, SearchEffort, wider
 from sampling_design.certificates.exact.given_weights import NoiseWeights
-from sampling_design.certificates.exact.riccati import RiccatiPeak, at_peak, located, refine, starts_at_sample, supremum
+from sampling_design.certificates.exact.riccati import refine, supremum
+from sampling_design.certificates.exact.riccati_peak import RiccatiPeak, at_peak, located, starts_at_sample
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.claims import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import replays, verdict_on_schedule

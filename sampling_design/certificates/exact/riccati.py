@@ -6,12 +6,12 @@ Windows run side by side in one batch: each step is one sample update and one ga
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.exact.riccati_peak import RiccatiPeak
 from sampling_design.certificates.exact.window_problem import WindowProblem
 from sampling_design.checkers.outcome import WorkLimit
 from sampling_design.errors import SolverError
@@ -38,8 +38,6 @@ MAX_STEPS = 100_000
 LONGEST_REFINED = 200
 """Peaks after more samples than this lie on the periodic solution, where a finer look changes nothing."""
 ATTAINED_RTOL = 2e-4  # how near to the periodic solution a window is followed; the certificate leaves 1e-3
-SAME_START = 1e-9
-"""A window whose start is this near that of a sample, relative to the gap, is its window: times are rounded."""
 LONGEST_RUN = 20_000  # samples along which a window is followed towards the periodic solution
 FURTHER = 4  # times as far as all windows together, where those took too much work, the one that had come highest is
 START_CELLS = 5
@@ -48,20 +46,6 @@ MIN_STARTS = 16
 TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of a gap, at which times are looked at: at its end lie most peaks
 REFINEMENTS = 4
 """Times that a peak is looked at closer: each takes a quarter of the grid before, and the proof finds what is left."""
-
-
-@dataclass(frozen=True, eq=False)
-class RiccatiPeak:
-    """The largest lambda_max(P2 Y) met, and where: window (index, remaining), gap number `step`, `fraction` of it.
-
-    `step` counts gaps after the window's first sample; -1 is the stretch before it.
-    """
-
-    value: float
-    index: int
-    remaining: float
-    step: int
-    fraction: float
 
 
 def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = None, iterate: bool = True) -> Array:
@@ -345,42 +329,3 @@ def refine(
         peak = max([peak, *peaks], key=attrgetter("value"))
         width, time_width = width / 3, time_width / 2
     return peak
-
-
-def located(problem: WindowProblem, start: float, t: float) -> RiccatiPeak:
-    """Return the window that starts at `start`, at time `t`, as a peak with the value that is attained there."""
-    periods = 1 if problem.period is None else int(t / problem.period) + 2
-    times = (problem.times + (problem.period or 0.0) * np.arange(periods)[:, None]).ravel()
-    first = int(np.searchsorted(times, start * (1 + 1e-12), side="right"))
-    index = first % problem.count
-    remaining = float(min(times[first] - start, problem.reach[index]))
-    if t <= times[first]:
-        found = RiccatiPeak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
-    else:
-        last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
-        left = min(max((times[last] - t) / problem.gaps[last % problem.count], 0.0), 1.0)
-        found = RiccatiPeak(0.0, index, remaining, last - first - 1, 1.0 - left)
-    return replace(found, value=float(np.linalg.eigvalsh(at_peak(problem, found)[0])[-1]))
-
-
-def starts_at_sample(problem: WindowProblem, peak: RiccatiPeak) -> bool:
-    """Whether a window is one of those that start at a sample, or at time 0."""
-    index, remaining = problem.sample_starts()
-    return bool(np.isclose(remaining[index == peak.index], peak.remaining, rtol=SAME_START, atol=0.0).any())
-
-
-def at_peak(problem: WindowProblem, peak: RiccatiPeak) -> tuple[Array, float, float]:
-    """Return Y at a peak, the time of the peak and the start of its window."""
-    start = float(problem.times[peak.index]) - peak.remaining
-    start = max(start if start >= 0 else start + (problem.period or 0.0), 0.0)
-    before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)
-    F, W = problem.flow([before])
-    Y, elapsed, at = propagate(np.eye(problem.size), F[0], W[0]), before, peak.index
-    gap_F, gap_W = problem.flow(problem.gaps)
-    for step in range(peak.step + 1):
-        Y = measurement_update(Y, problem.rows[at])
-        at = (at + 1) % problem.count
-        duration = problem.gaps[at] * (peak.fraction if step == peak.step else 1.0)
-        last = problem.flow([duration]) if step == peak.step else (gap_F[at : at + 1], gap_W[at : at + 1])
-        Y, elapsed = propagate(Y, last[0][0], last[1][0]), elapsed + duration
-    return Y, start + float(elapsed), start

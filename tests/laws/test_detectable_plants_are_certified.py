@@ -12,7 +12,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.certificates import certification as room
-from sampling_design.certificates.exact import efforts, precise, riccati, weight_choice
+from sampling_design.certificates.exact import efforts, precise, riccati, riccati_peak, weight_choice
 from sampling_design.certificates.exact import proof as proofs
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
@@ -269,7 +269,7 @@ def test_a_window_that_starts_at_a_sample_counts_for_both_lambdas():
     plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([0.5, 1.0], first=0.25)
     problem = window_problem(plant, schedule, np.eye(2), *weights_of(plant, None, None, None), 0.4)
     for start, at_sample in ((0.0, True), (0.25, True), (1.25, True), (1.75, True), (0.1, False), (0.7, False)):
-        assert riccati.starts_at_sample(problem, riccati.located(problem, start, 4.0)) is at_sample, start
+        assert riccati_peak.starts_at_sample(problem, riccati_peak.located(problem, start, 4.0)) is at_sample, start
 
 
 @pytest.mark.long

@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
-from sampling_design.accuracy.gap_table import GapTable
+from sampling_design.accuracy.disproof import Disproof, disprove, program_of
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
-from sampling_design.accuracy.record_program import AGAIN, DISPROVED, WHICH_BOUNDS, RecordProgram
+from sampling_design.accuracy.record_program import DISPROVED, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
 from sampling_design.accuracy.undetectable import OTHER_STATES, modes_with
 from sampling_design.checkers.check import verdict
-from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
@@ -28,93 +28,6 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, TableRecord, above, below, counted, moment
 from sampling_design.records.signatures import checked
-
-LARGEST = 1e100  # number of a plant in coordinates: its third powers are doubles
-MOSTLY = 0.9  # share of a contradiction that the samples named with it make
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Disproof(PlainRecord):
-    """Why the data contradict the bounds: gains for the row 0, whose bound would have to be negative.
-
-        0 <= sum lambda'(y - ybar) + theta b(lambda)
-
-    Attributes
-    ----------
-    readings : Readings
-    factors : dict of str to float
-        The least factor by which all bounds together ("all"), that on w alone ("w") or those on v alone ("v") would
-        have to grow; infinity where no factor suffices. Each is proven by its gains.
-    gains : dict of str to (R,) arrays
-        One number for each row that was read.
-    scales : (n,) array
-        Sizes of the states in which the proof's integrals are evaluated; any will do.
-    """
-
-    readings: Readings
-    factors: dict[str, float]
-    gains: dict[str, Array]
-    scales: Array = field(repr=False)
-
-    _plain = "times factors gains"
-
-    @property
-    def times(self) -> Array:
-        """Times of the samples that make nine tenths of it, the strongest first."""
-        return freeze(self.readings.times[self.strongest])
-
-    @property
-    def samples(self) -> Index:
-        """The same samples, counted from 0 among all times at which something was read."""
-        sampled = np.cumsum(np.diff(self.readings.offsets) > 0) - 1
-        return np.asarray(sampled[self.strongest])
-
-    @property
-    def strongest(self) -> Index:
-        """Places of those times among all of the readings."""
-        shares = np.zeros(len(self.readings.times))
-        np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"]) * self.readings.size)
-        if not shares.any():
-            np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"] * self.readings.residuals))
-        order = np.argsort(-shares, kind="stable")
-        count = int(np.searchsorted(np.cumsum(shares[order]), MOSTLY * shares.sum())) + 1
-        return np.asarray(order[:count])
-
-    def verify(self) -> bool:
-        """Whether the gains prove the factors, and that of all bounds above 1, evaluated without a solver."""
-        program = _program(self.readings, self.scales)
-        proven = {which: program.growth(which, own, AGAIN) for which, own in self.gains.items()}
-        kept = all(factor <= 0 or proven[which] >= factor for which, factor in self.factors.items())
-        return kept and min(self.factors["all"], proven["all"]) > 1
-
-    def _rows(self) -> list[tuple[str, str]]:
-        unit = self.readings.plant.time_unit
-        return [
-            ("samples at", f"{moment(self.times)} {unit}"),
-            ("all bounds", f"{below(self.factors['all'], 3)} times as large at least"),
-            *((f"that on {k} alone", _grown(self.factors[k])) for k in ("w", "v")),
-        ]
-
-    def explain(self) -> str:
-        """Say what contradicts what, and by how much."""
-        when = ", ".join(moment(t) for t in self.times[:4])
-        alone = ", ".join(f"that on {k} alone {_grown(self.factors[k])}" for k in ("w", "v"))
-        return (
-            f"The data contradict the bounds, most of all the samples at {when}: all bounds together would have to be "
-            f"{below(self.factors['all'], 3)} times as large; {alone}."
-        )
-
-
-def _program(readings: Readings, scales: Array) -> RecordProgram:
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = np.hstack([readings.A * scales, readings.G]) / scales[:, None]
-    if not np.all(np.abs(scaled) < LARGEST):
-        raise UndecidedError("undecided: in coordinates of these `scales` the plant is beyond the range of doubles")
-    return RecordProgram(readings, GapTable(readings.A, readings.G, scales))
-
-
-def _grown(factor: float) -> str:
-    return f"{below(factor, 3)} times" if np.isfinite(factor) else "never suffices"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -252,7 +165,7 @@ class Interval(TableRecord, PlainRecord):
             raise ArgumentError("A file of an interval is of its last sample or later: of earlier times call verify().")
         readings, found = self.readings, self.disproof
         lower, upper, proof = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf), None
-        program = _program(readings, self.scales)
+        program = program_of(readings, self.scales)
         if found is None:
             for k, row in enumerate(self.rows.matrix):
                 up, down = program.upper(self.t, row, self.gains[k, 0]), program.upper(self.t, -row, self.gains[k, 1])
@@ -277,7 +190,7 @@ class Interval(TableRecord, PlainRecord):
             return self.verify() and verdict(self._sealed()).passed
         if self.disproof is not None:
             return bool(np.isnan(self.upper).all()) and self.disproof.verify()
-        program = _program(self.readings, self.scales)
+        program = program_of(self.readings, self.scales)
         ends = np.array([self.lower, self.upper]).T
         for k, row in enumerate(self.rows.matrix):
             for side, sign in enumerate((1.0, -1.0)):
@@ -478,7 +391,7 @@ def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | 
         if program.infeasible and program.contradicted:  # of data that contradict the bounds nothing else is asked
             break
     if program.infeasible or any(up.value + down.value < -DISPROVED * (up.width + down.width) for up, down in ends):
-        disproof = disprove(program)
+        disproof = disprove(program, [up.gains + down.gains for up, down in ends])
         if disproof is not None:
             nothing = freeze(np.full(len(rows), np.nan))
             gains = freeze(np.zeros((len(rows), 2, len(readings.y))))
@@ -488,13 +401,3 @@ def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | 
         lower, upper = np.fmax(lower, outer[:, 0]), np.fmin(upper, outer[:, 1])
     gains = freeze(np.array([(up.gains, down.gains) for up, down in ends]))
     return Interval(readings, t, rows, freeze(lower), freeze(upper), gains, program.table.D, outer)
-
-
-def disprove(program: RecordProgram) -> Disproof | None:
-    """Return the proof that the readings of a program contradict the bounds; None where there is none."""
-    if not program.contradicted:
-        return None
-    gains = {which: program.least_growth(which) for which in WHICH_BOUNDS}
-    factors = {which: program.growth(which, gains[which]) for which in WHICH_BOUNDS}
-    kept = {which: freeze(found) for which, found in gains.items()}
-    return Disproof(program.readings, factors, kept, program.table.D)

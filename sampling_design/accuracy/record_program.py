@@ -23,18 +23,18 @@ from sampling_design.accuracy.sampled_system import EXACT
 from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
-from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.filtering import covariance_root, root_update, triangle
 from sampling_design.numerics.linalg import products
 from sampling_design.records.arrays import Array
 
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 """Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
-BEYOND = 1e150  # a covariance that grows beyond it is as good as infinite: what it is made of would overflow
+BEYOND = 1e75  # a deviation that grows beyond it is as good as infinite: its square would overflow in what follows
+UNKNOWN = 1e-3  # the deviation of a state whose start is exactly known
 HELD = 1e-13  # relative error with which nominal states and readings are held
 AGAIN = 0.5  # share of the room for rounding that a proof takes when it is evaluated again
 FLOW_HELD = 4 * float(np.finfo(float).eps)  # the same of a flow over a panel of a gap: those of a gap are multiplied
-NOTHING = 1e-10  # a rest below this share of the gains' terms counts as none where the start is free: rounding
 LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
 CLOSED = 1e-2  # share of the half-width by which the adversary may fall short of it before cells are made finer
 
@@ -135,28 +135,30 @@ class RecordProgram:
 
     @cached_property
     def _filter(self) -> tuple[Array, Array]:
-        """Gains (R, n) of the filter with the same bounds as deviations, and its covariances (K, n, n), for scaling."""
+        """Gains (R, n) of the filter with the bounds as deviations, roots (K, n, n) of its covariances: for scaling.
+
+        Roots, since exact rows leave less of a state than the rounding of a difference of covariances.
+        """
         read, n, D = self.readings, len(self.table.D), self.table.D
-        P = np.eye(n) * DIFFUSE
+        root = np.eye(n) * math.sqrt(DIFFUSE)
         if not read.start.unbounded:
             root = np.zeros((n, n))
             root[: len(read.start.root), : read.start.root.shape[1]] = read.start.root
             root = root / D[:, None]
-            known = np.sqrt(np.einsum("ij,ij->i", root, root))
-            P = root @ root.T + np.diag(np.where(known > 0, 0.0, 1e-6))
+            root = np.hstack([root, np.diag(np.where(root.any(axis=1), 0.0, UNKNOWN))])
         H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
-        gains, covariances = np.zeros((len(H), n)), np.zeros((len(read.times), n, n))
+        gains, roots = np.zeros((len(H), n)), np.zeros((len(read.times), n, n))
         for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
             if k:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    P = propagate(P, self.F[k - 1], self._gap_noise[k - 1])
-                if not np.abs(P).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
-                    P = np.eye(n) * BEYOND
+                    root = np.hstack([self.F[k - 1] @ root, covariance_root(self._gap_noise[k - 1])])
+                if not np.abs(root).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
+                    root = np.eye(n) * BEYOND
             if b > a:
-                P, K = update_with_gain(P, H[a:b])
+                root, K, _ = root_update(root, H[a:b], np.eye(b - a))
                 gains[a:b] = K.T
-            covariances[k] = P
-        return gains, covariances
+            roots[k] = root = triangle(root)
+        return gains, roots
 
     @cached_property
     def L(self) -> Array:
@@ -164,13 +166,11 @@ class RecordProgram:
 
         Where nothing drives a state that decays, those of one time would make it as large as it has decayed by then.
         """
-        P = self._filter[1]
-        size = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), np.finfo(float).tiny))
-        with np.errstate(over="ignore"):
-            alike = np.clip(P / size[:, :, None] / size[:, None, :], -1.0, 1.0)
-        values, vectors = np.linalg.eigh(alike)
-        least = LEAST * P.shape[1]
-        return np.asarray(size[:, :, None] * vectors * np.sqrt(np.maximum(values, least))[:, None, :])
+        roots = self._filter[1]
+        size = np.maximum(np.linalg.norm(roots, axis=2), math.sqrt(np.finfo(float).tiny))
+        vectors, values, _ = np.linalg.svd(roots / size[:, :, None])
+        least = math.sqrt(LEAST * roots.shape[1])
+        return np.asarray(size[:, :, None] * vectors * np.maximum(values, least)[:, None, :])
 
     @cached_property
     def _levels(self) -> dict[int, RecordCones]:
@@ -225,11 +225,12 @@ class RecordProgram:
             self.infeasible = not self._feasible
             return RowEnd(np.inf, np.inf, np.inf, np.zeros(len(self.H)))
         attained, gains, ahead = self._solved(c, level)
-        found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
-        if self._grown and not found.bound - added - attained <= CLOSED * found.width:
-            for other in self._fed_back(c, gains, ahead):
-                found = min(found, self.upper(t, row, other), key=lambda end: end.value)
-        short = found.bound - added - attained
+        with np.errstate(over="ignore", invalid="ignore"):  # where nothing is free, a solver may diverge
+            found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
+            if not abs(found.bound - added - attained) < CLOSED * found.width:
+                for other in self._fed_back(c, gains, ahead):
+                    found = min(found, self.upper(t, row, other), key=lambda end: end.value)
+            short = found.bound - added - attained
         return replace(found, short=short if np.isfinite(found.bound) and attained < np.inf else 0.0)
 
     def _plainest(self, t: float, row: Array, found: RowEnd) -> RowEnd:
@@ -280,13 +281,13 @@ class RecordProgram:
         self.infeasible = status == INFEASIBLE
         if self.infeasible and self._multiple(level) <= COARSE:  # gains of larger bounds prove these, too
             x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
-        if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
+        with np.errstate(over="ignore", invalid="ignore"):
+            gains, ahead = posed.read(y * size)
+        if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(gains).all() and np.isfinite(ahead).all()):
             return nothing
-        if self.infeasible:  # nobody knows what is attained
-            return -np.inf, *posed.read(np.asarray(y * size, dtype=np.float64))
-        return -float(cost @ x) * size + float(c @ self._near[self._aim]), *posed.read(
-            np.asarray(y * size, dtype=np.float64)
-        )
+        # of data that contradict the bounds nobody knows what is attained
+        attained = -np.inf if self.infeasible else -float(cost @ x) * size + float(c @ self._near[self._aim])
+        return attained, gains, ahead
 
     def _multiple(self, level: int) -> float:
         """The least multiple of all bounds under which the program of a level has a solution."""
@@ -315,7 +316,7 @@ class RecordProgram:
             errors[k] = e
             e = np.asarray(self._through[k - 1].dot(e) + open_[k].dot(self.F[k - 1]))  # one time earlier
         errors[0] = e
-        return self._left_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
+        return self.leaving_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
 
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
@@ -347,11 +348,11 @@ class RecordProgram:
                 own[rows] += filter_[rows] @ (g - meant[k])
                 g = g - (self.H[rows] * own[rows, None]).sum(axis=0)
                 g = g.dot(self.F[k - 1]) if k else g
-            found.append(self._left_nothing(c, own))
+            found.append(self.leaving_nothing(c, own))
         return found
 
-    def _left_nothing(self, c: Array, gains: Array) -> Array:
-        """Gains after the least change that takes away what they leave of a free start."""
+    def leaving_nothing(self, c: Array, gains: Array) -> Array:
+        """Return gains after the least change that takes away what they leave of a free start."""
         if not self.readings.start.unbounded:
             return gains
         return self._free.without(gains, self._begun(c), lambda own: self._costates(c, own)[1])
@@ -371,8 +372,6 @@ class RecordProgram:
 
     def _closed(self, c: Array, gains: Array, rest: Array) -> bool:
         """Whether what gains leave of a free start is rounding."""
-        if not np.linalg.norm(self.L[-1].T @ rest) <= NOTHING * self._terms(c, gains):
-            return False
         return self._free.closes(gains, self._begun(c), rest) and not self._hidden(c)
 
     @cached_property
@@ -418,15 +417,6 @@ class RecordProgram:
             np.subtract(g, step, costate)
             g = costate.dot(F)
         return found, g - steps[0]
-
-    def _terms(self, c: Array, gains: Array) -> float:
-        """The size of the terms that what is left of the start is a difference of."""
-        terms = np.abs(gains) @ self._residual_sizes if gains.size else 0.0
-        return float(np.linalg.norm(self.L[-1].T @ c) + terms)
-
-    @cached_property
-    def _residual_sizes(self) -> Array:
-        return np.asarray(np.linalg.norm(self.H @ self.L[-1], axis=1))
 
     def upper(self, t: float, row: Array, gains: Array) -> RowEnd:
         """Return what any gains prove of a row at t, without a solver: for all real times, rounded outwards."""
@@ -487,12 +477,12 @@ class RecordProgram:
 
         `room` is the share of what is left to rounding, as `RowEnd.again`.
         """
-        residuals, start, w, v = self.costs(np.zeros(len(self.table.D)), gains)
+        with np.errstate(over="ignore", invalid="ignore"):
+            residuals, start, w, v = self.costs(np.zeros(len(self.table.D)), gains)
         fixed = {"all": 0.0, "w": start + v, "v": start + w}[which]
         grown = {"all": start + w + v, "w": w, "v": v}[which]
-        read = self.readings
-        error = self._rounded * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
+        error = self._rounded * float(np.abs(gains) @ (np.abs(self.readings.y) + np.abs(self.readings.residuals)))
         needed = -residuals - fixed * (1 + room * ROUNDING) - room * error
-        if needed <= 0:
+        if not (0 < needed < np.inf and grown < np.inf):
             return 0.0
         return needed / (grown * (1 + room * ROUNDING)) if grown > 0 else np.inf

@@ -193,3 +193,25 @@ if __name__ == "__main__":
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     broken = [run for run in range(runs) if not held(list(CASES)[run % len(CASES)], 10_000 + run)]
     print(f"{runs} runs with limits, means and tubes: {len(broken)} not held {broken}")
+
+
+@pytest.mark.parametrize("seed", few(range(60), 35, 55))
+def test_a_reading_that_is_wrong_beyond_measure_is_a_contradiction(seed):
+    """Beside exact sensors a solver diverges: then gains of the two ends of a row, which cross, are the proof."""
+    rng = np.random.default_rng(seed)
+    n, p = rng.integers(2, 5), rng.integers(1, 3)
+    plant = sd.Plant(rng.normal(size=(n, n)) * 0.7, rng.normal(size=(p, n)), G=rng.normal(size=(n, 2)))
+    times, x, noise = np.cumsum(rng.uniform(0.2, 0.9, size=8)), rng.normal(size=n), rng.choice([0, 0.05], size=p)
+    record = [(t, plant.C @ plant.transition(t) @ x + 0.3 * noise * rng.uniform(-1, 1, p), None) for t in times]
+    known = {"w_bound": [0.1 * (seed % 2 == 0)] * 2, "v_bound": noise, "prior_time": 0.0}
+    at = times[-1] + 0.3
+    true = state_interval(plant, record, at, **known)
+    assert not true.contradiction
+    assert true.holds(plant.transition(at) @ x)
+    assert np.isfinite(true.radii).all()
+    record[4] = (times[4], record[4][1] + 50, None)
+    found = state_interval(plant, record, at, **known)
+    assert found.contradiction > 10
+    assert found.verify()
+    assert " inf " not in found.explain()
+    assert "inf" not in str(found)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sampling_design.accuracy.bounds import BoundedSet
+from sampling_design.accuracy.disproof import Disproof
 from sampling_design.accuracy.gap_table import GapTable
-from sampling_design.accuracy.interval import Disproof, Interval, prove
+from sampling_design.accuracy.interval import Interval, prove
 from sampling_design.accuracy.readings import Readings, RowReading, censored_rows
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction

@@ -169,6 +169,21 @@ def test_the_factor_of_one_output_of_several_is_the_least_that_serves(kind, boun
     assert followed(np.multiply(bound, 0.99 * share)).contradiction is not None
 
 
+@pytest.mark.parametrize("kind", ["moving horizon", "filter"])
+def test_an_exact_sensor_that_is_wrong_needs_no_factor_in_words(kind):
+    """Nothing times 0 suffices: a note says so, instead of "inf times as large"."""
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), outputs=["a", "b"])
+    given = {"cost": scale_weights(plant, eta=0.1), "w_bound": 0.0, "v_bound": [0.0, 0.0], "initial_error": 1.0}
+    made = (
+        sd.KalmanFilter(plant, **given) if kind == "filter" else sd.MovingHorizonEstimator(plant, horizon=5.0, **given)
+    )
+    made.update(1.0, [0.1, 0.0])
+    found = made.update(2.0, [50.0, 0.0])
+    assert found.contradiction.factor == np.inf
+    assert "no factor of" in found.note
+    assert "inf times" not in found.note
+
+
 @pytest.mark.parametrize(("maker", "rows"), few(product(MAKERS, [ROWS, FAR]), 0, 3, 4))
 def test_without_the_sample_that_a_contradiction_names_everything_stands_again(maker, rows):
     """As the batch without it, and a correction does the same; a sample more mends nothing."""

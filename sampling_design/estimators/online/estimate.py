@@ -68,10 +68,12 @@ class Contradiction(NamedTuple):
 
     def at(self, when: str) -> str:
         """Say it of a sample whose time or date is called so."""
-        sample = f"sample {self.number} at {when}, output {self.output}"
-        if self.alone:
-            return f"{sample}: its v_bound would have to be {below(self.factor, 3)} times as large"
-        return f"{sample}, and not it alone: all bounds would have to be {below(self.factor, 3)} times as large"
+        sample, bounds = f"sample {self.number} at {when}, output {self.output}", "its v_bound"
+        if not self.alone:
+            sample, bounds = f"{sample}, and not it alone", "all bounds"
+        if self.factor == np.inf:
+            return f"{sample}: no factor of {bounds} suffices"
+        return f"{sample}: {bounds} would have to be {below(self.factor, 3)} times as large"
 
 
 @lru_cache(maxsize=8)

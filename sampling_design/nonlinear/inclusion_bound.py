@@ -26,7 +26,10 @@ ROUNDING = 1e-9
 
 SAME_GAP = 1e-9  # a gap beyond the certified ones by this share of itself is rounding, and by that of its two times
 
-UNCOVERED = "a gap or an output that the certificate does not cover, a state outside its region, or an unbounded start"
+UNCOVERED = (
+    "a gap, an input or an output that the certificate does not cover, a state outside its region, or an unbounded "
+    "start"
+)
 """Why an estimate under a certificate may have none."""
 
 
@@ -88,13 +91,15 @@ class InclusionBound:
         self._initial = None if initial_error is None else checks.bound("initial_error", initial_error, plant.n_states)
         self.w_square = _square(certificate.Qw, plant.bounds["disturbances"])
         self.v_square = _square(certificate.Rtilde, plant.bounds["noises"])
-        widths = self.region.upper - self.region.lower
-        self._widths = widths if np.isfinite(widths).all() else None
+        self._bounded = bool(np.isfinite([self.region.lower, self.region.upper]).all())
+        self._inputs, still = plant.bounds["inputs"], plant.bounds["disturbances"]
         squares = {"disturbances": self.w_square, "noises": self.v_square}
         missing = [name for name, size in squares.items() if np.isinf(size)]
         self.trouble = f"the plant's box of {' and of '.join(missing)} is not bounded" if missing else ""
-        if not missing and self._initial is None and self._widths is None:
+        if not missing and self._initial is None and not self._bounded:
             self.trouble = "neither `initial_error` nor a bounded region says how wrong the prior may be"
+        if np.any(still[0] > 0) or np.any(still[1] < 0):
+            self.w_square, self.trouble = np.inf, "the plant's box of disturbances leaves out 0, the open loop's"
 
     def counts(self, t: float, last: float) -> bool:
         """Whether the proof takes a sample at t, the last one taken being at `last`."""
@@ -113,8 +118,8 @@ class InclusionBound:
         """P(tau) at t, (n, n)."""
         return self.certificate.at(self.age(t, last))
 
-    def largest(self, t: float, last: float, prior: bool) -> float:
-        """Return the largest V at t that the region leaves, and the bound on the first error if it is the prior's."""
+    def largest(self, t: float, last: float, x: Array, prior: bool) -> float:
+        """Return the largest V at t about x that the region leaves the truth, and the first error if x is the prior."""
         age = self.age(t, last)
         if np.isnan(age):
             return float("inf")
@@ -123,8 +128,9 @@ class InclusionBound:
         if prior and error is not None:
             ball = error.ndim == 0
             found.append(float(np.linalg.eigvalsh(P)[-1] * error**2) if ball else float(error @ np.abs(P) @ error))
-        if self._widths is not None:
-            found.append(float(self._widths @ np.abs(P) @ self._widths))
+        if self._bounded:
+            far = np.maximum(self.region.upper - x, x - self.region.lower)
+            found.append(float(far @ np.abs(P) @ far))
         return min(found)
 
     def ahead(self, square: float, start: float, stop: float) -> float:
@@ -172,6 +178,11 @@ class InclusionBound:
     def holds(self, x: Array) -> bool:
         """Whether all states (..., n) lie in the region."""
         return bool(self.region.holds(x).all())
+
+    def drives(self, u: Array) -> bool:
+        """Whether all inputs (..., m) lie in the box for which the certificate is."""
+        low, high = self._inputs
+        return bool(np.all((u >= low) & (u <= high)))
 
 
 def _rounding(gap: float, t: float, last: float) -> float:

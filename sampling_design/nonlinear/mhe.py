@@ -285,13 +285,15 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
     def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:
-        """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""
+        """When the last sample that the proof takes was, this one included; whether gaps and inputs are certified."""
         last, error_bound = state.last, self.error_bound
         if error_bound is None:
             return sample.t, True
         before = self.loop.since(last, sample.t)
         complete = bool(np.isfinite(sample.y).all())
+        inputs = [self.loop.input(state, last.t), *(u for t, u in state.inputs if last.t < t <= sample.t)]
         scheduled = last.scheduled and bool(np.isfinite(error_bound.age(sample.t, before)))
+        scheduled = scheduled and error_bound.drives(np.array(inputs))
         return (sample.t if complete and error_bound.counts(sample.t, before) else before), scheduled
 
     def _without_outliers(self, state: EstimatorState, sample: RecordRow) -> tuple[RecordRow, str]:
@@ -321,6 +323,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         nodes = solution.nodes * self._scale
         if not error_bound.holds(np.vstack([nodes, solution.point.z.reshape(-1, nodes.shape[1]) * self._scale])):
             return float("inf")
+        if not error_bound.drives(np.vstack([data.inputs, data.later])):
+            return float("inf")
         jumps = answer.jumps
         if jumps is None:
             jumps = self.search.jumps(data, solution)
@@ -337,10 +341,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         last = start.counted
         if start.prior:
             last = error_bound.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
-        square = min(start.square, error_bound.largest(start.t, last, start.prior))
-        return error_bound.radius(
-            trajectory, start.x, square if not start.prior else error_bound.largest(start.t, last, True), last
-        )
+        square = error_bound.largest(start.t, last, start.x, start.prior)
+        return error_bound.radius(trajectory, start.x, square if start.prior else min(start.square, square), last)
 
     def _window(self, state: EstimatorState, sample: RecordRow) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
@@ -424,7 +426,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         times, path = [float(edges[0]), *known], [prior, *known.values()]
         try:
             for edge in edges[edges > last.t].tolist():
-                x, t = self.loop.propagated(state, x, t, edge, guess=True)[0], edge
+                x, t = self.loop.propagated(state, x, t, edge, guess=True).x, edge
                 times.append(edge)
                 path.append(x)
         except SolverError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,16 @@ from sampling_design.records.checks import freeze
 
 NOTE = "No radius: no certificate was given."
 GUESS_TOLERANCE = 1e-4  # of the integrator where a solver only starts from what it finds, in scaled states
+PARTS = 16  # of a stretch without new inputs, at whose ends an open loop is looked at: does it stay in the region?
 EDGE = 1e-6  # states within this share of their scale of the edge of X are in it: the solver ends there
+
+
+class OpenLoopEnd(NamedTuple):
+    """Where an open loop ends: state, covariance, and whether region and inputs were the certificate's all the way."""
+
+    x: Array
+    Y: Array | None
+    covered: bool
 
 
 class NonlinearLoop:
@@ -50,7 +59,7 @@ class NonlinearLoop:
         Qw = self.scaled.twice * self.scaled.Qw
         noise: Array = np.asarray(np.linalg.solve(Qw, np.eye(len(Qw))), dtype=np.float64)
         self._integrator, self._covariance = (
-            Integrator(self.plant),
+            Integrator(self.plant, points=1 if self.error_bound is None else PARTS),
             CovarianceIntegrator(self.plant, noise, self.scaled.eta),
         )
         self._rough = Integrator(self.plant, GUESS_TOLERANCE)
@@ -89,13 +98,16 @@ class NonlinearLoop:
 
     def propagated(
         self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None, guess: bool = False
-    ) -> tuple[Array, Array | None]:
+    ) -> OpenLoopEnd:
         """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance.
 
-        As a guess it is found to `GUESS_TOLERANCE` only.
+        As a guess it is found to `GUESS_TOLERANCE` only. What the certificate covers is looked at `PARTS` times between
+        two inputs.
         """
+        error_bound = self.error_bound
+        covered = error_bound is not None and error_bound.holds(x)
         if b <= a:
-            return x, Y
+            return OpenLoopEnd(x, Y, covered)
         edges = [a, *(t for t, _ in state.inputs if a < t < b), b]
         still = np.zeros(self.plant.n_disturbances)
         integrator = self._rough if guess else self._integrator
@@ -103,8 +115,11 @@ class NonlinearLoop:
             u, later = self.input(state, start), self.input_until(state, start, stop)
             if Y is not None:
                 Y = self._covariance.step(x, Y, u, later, start, stop)
-            x = integrator.step(x, u, still, start, stop, later)
-        return x, Y
+            path = integrator.path(x, u, still, start, stop, later)
+            x = path[-1]
+            if error_bound is not None and covered:
+                covered = error_bound.holds(path) and error_bound.drives(np.array([u, later]))
+        return OpenLoopEnd(x, Y, covered)
 
     def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> tuple[Array, Array, float, str]:
         """Return state, covariance to first order, bound on V and what went wrong, in words: open loop from a node.
@@ -113,14 +128,14 @@ class NonlinearLoop:
         """
         nothing = unknown(node.x.size)
         try:
-            x, Y = self.propagated(state, node.x, node.t, t, node.Y)
+            x, Y, covered = self.propagated(state, node.x, node.t, t, node.Y)
         except SolverError as error:
             return node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
         Y = nothing if Y is None else Y
         square, error_bound = float("inf"), self.error_bound
         if error_bound is not None and np.isfinite(node.beta):
             last = self.since(node, t) if t > node.t else node.counted
-            if np.isfinite(error_bound.age(t, last)) and error_bound.holds(x):
+            if covered and np.isfinite(error_bound.age(t, last)):
                 square = error_bound.ahead(node.beta, node.t, t)
         kept, words = self._projected(x, self.input(state, t))
         return kept, Y, square if kept is x else np.inf, words
@@ -147,7 +162,7 @@ class NonlinearLoop:
         """Return the first node, before any sample: x at t with the weight P2."""
         scaled, scale = self.scaled, self.plant.signals["states"].scales
         inverse = np.linalg.solve(scaled.twice * scaled.P2, np.eye(x.size))
-        square = np.inf if self.error_bound is None else self.error_bound.largest(t, t, prior=True)
+        square = np.inf if self.error_bound is None else self.error_bound.largest(t, t, x, prior=True)
         return self.node(RecordRow(t), x, "prior", inverse * scale * scale[:, None], square, t)
 
     def node(
@@ -226,5 +241,5 @@ class NonlinearLoop:
         last = self.since(node, t)
         scheduled = node.scheduled and (self.error_bound is None or bool(np.isfinite(self.error_bound.age(t, last))))
         if self.error_bound is not None and last != node.counted and np.isfinite(square):
-            square = self.error_bound.ahead(self.error_bound.largest(node.t, last, prior=True), node.t, t)
+            square = self.error_bound.ahead(self.error_bound.largest(node.t, last, node.x, prior=True), node.t, t)
         return self.estimate(t, x, status, Y, square, last, trouble, scheduled)

@@ -146,22 +146,26 @@ def _stretch(plant: NonlinearPlant, unit: Array | float = 1.0) -> tuple[Any, ...
 class Integrator:
     """Carries a state over a stretch of constant disturbance, u straight between two values; built once, used often."""
 
-    def __init__(self, plant: NonlinearPlant, tolerance: float = TOLERANCE) -> None:
+    def __init__(self, plant: NonlinearPlant, tolerance: float = TOLERANCE, points: int = 1) -> None:
         self.plant, self.scale = plant, plant.signals["states"].scales
         z, _, parameters, s, h, rate = _stretch(plant)
         problem = {"x": z, "t": s, "p": parameters, "ode": h * rate}
         options = {"reltol": tolerance, "abstol": tolerance} | CVODES
-        self._step = casadi().integrator("step", "cvodes", problem, 0.0, 1.0, options)
+        self._step = casadi().integrator("step", "cvodes", problem, 0.0, np.arange(1, points + 1) / points, options)
 
     def step(self, x: Array, u: Array, w: Array, start: float, stop: float, u_stop: Array | None = None) -> Array:
         """Return x(stop) from x(start) = x; u is constant, or runs straight to `u_stop`.
 
         Raises SolverError if the integration fails.
         """
+        return self.path(x, u, w, start, stop, u_stop)[-1]
+
+    def path(self, x: Array, u: Array, w: Array, start: float, stop: float, u_stop: Array | None = None) -> Array:
+        """Return the states (points, n) at the ends of so many equal parts of a stretch, as `step` does the last."""
         rise = 0 * u if u_stop is None else u_stop - u
         parameters = np.concatenate([u, rise, w, [start, stop - start]])
         try:
-            found = np.array(self._step(x0=x / self.scale, p=parameters)["xf"]).ravel()
+            found = np.array(self._step(x0=x / self.scale, p=parameters)["xf"]).T
         except RuntimeError as error:
             raise SolverError(
                 f"the integration fails between t = {start:.6g} and {stop:.6g} {self.plant.time_unit} "

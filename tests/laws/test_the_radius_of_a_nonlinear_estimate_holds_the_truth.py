@@ -7,6 +7,7 @@ import sys
 from functools import cache
 from itertools import pairwise
 
+import casadi
 import numpy as np
 import pytest
 
@@ -16,7 +17,9 @@ from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import pendulum
+from sampling_design.nonlinear.inclusion_bound import InclusionBound
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
+from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
@@ -91,7 +94,7 @@ def test_a_gap_beyond_the_certified_ones_ends_the_radius_until_the_window_has_pa
     times = [0.5, 1.2, 3.9, 4.6]
     found = [estimator.update(t, [0.1]) for t in times]
     assert [e.certified for e in found] == [True, True, False, False]
-    assert "a gap or an output that the certificate does not cover" in found[2].note
+    assert "a gap, an input or an output that the certificate does not cover" in found[2].note
     assert estimator.predict(5.5).certified is False
     estimator.start([0.6, 0.0])
     assert estimator.update(0.5, [0.1]).certified
@@ -113,6 +116,63 @@ def test_the_shortest_and_the_longest_gap_are_certified_wherever_the_clock_begin
         assert far.on_schedule
         assert far.radii == pytest.approx(near.radii, rel=1e-4)
     assert not estimator.predict(times[-1] + 0.80001).certified
+
+
+def test_an_open_loop_that_left_the_region_is_not_certified_where_it_has_come_back():
+    plant = pendulum(1.0, 1.0).with_bounds(disturbances=(-W, W), noises=(-V, V))
+    found = certify_inclusion(plant, GapRange(0.4, 1.6), eta=0.2, pieces=8)
+    estimator = NonlinearMovingHorizonEstimator(plant, found, initial_error=0.1, prior=[0.9, 0.6])
+    ahead = [estimator.predict(t) for t in np.linspace(0.0, 1.6, 9)]  # out at 0.2, back at 1.3
+    assert np.abs(ahead[-1].x).max() < 1.0
+    assert [e.certified for e in ahead] == [True] + 8 * [False]
+
+
+def driven():
+    """A pendulum whose stiffness is its input, within a fifth."""
+    return NonlinearPlant(
+        lambda x, u, w: [x[1], -casadi.sin(x[0]) * (1 + u[0]) + w[0]],
+        lambda x, u, v: [x[0] + v[0]],
+        {"states": 2, "inputs": 1, "disturbances": 1, "outputs": 1},
+        bounds={"inputs": (-0.2, 0.2), "disturbances": (-W, W), "noises": (-V, V)},
+    )
+
+
+def test_an_input_beyond_its_box_ends_the_radius_and_the_claim():
+    found = certify_inclusion(driven(), GapRange(0.4, 0.6), eta=0.1, pieces=4)
+    estimator = NonlinearMovingHorizonEstimator(
+        driven(), found, initial_error=0.1, collocation=Collocation(2.0, 1, capacity=8, accuracy=None)
+    )
+    ends = []
+    for second in (-0.2, 5.0):
+        estimator.start([0.9, 0.6])
+        estimator.update(0.5, [1.0], [0.2])
+        ends.append((estimator.update(1.0, [1.0], [second]), estimator.predict(1.4)))
+    (here, later), (there, after) = ends
+    assert here.certified
+    assert here.on_schedule
+    assert later.certified
+    assert not there.certified
+    assert "a gap, an input or an output that the certificate does not cover" in there.note
+    assert not after.certified
+
+
+def test_disturbances_that_leave_out_none_leave_no_radius():
+    plant = pendulum().with_bounds(disturbances=(0.01, W), noises=(-V, V))
+    found = certify_inclusion(plant, GapRange(0.4, 0.8), eta=0.4, pieces=8)
+    estimator = NonlinearMovingHorizonEstimator(plant, found, initial_error=FIRST)
+    assert not estimator.predict(0.3).certified
+    assert "leaves out 0, the open loop's" in estimator.update(0.5, [0.0]).note
+
+
+@pytest.mark.parametrize("x", [(0.2, -0.3), (3.0, 0.0), (-2.0, 5.0)])
+def test_what_a_region_leaves_the_truth_is_counted_from_the_estimate_wherever_it_is(x):
+    plant = pendulum().with_bounds(disturbances=(-W, W), noises=(-V, V)).in_region([-1.0, -1.0], [1.0, 1.0])
+    bound = InclusionBound(certify_inclusion(plant, GapRange(0.4, 0.8), eta=0.4, pieces=8), plant, None)
+    truths = np.array([(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]) - x
+    worst = np.max(np.einsum("ki,ij,kj->k", truths, bound.weight(0.5, 0.0), truths))
+    most = bound.largest(0.5, 0.0, np.array(x), prior=False)
+    assert worst <= most * (1 + 1e-12)
+    assert most < 3 * worst
 
 
 def test_samples_that_come_too_early_do_no_harm():

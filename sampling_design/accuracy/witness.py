@@ -27,6 +27,10 @@ from sampling_design.records.record import Plain, Record, short
 KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is simulated anew
 SHOWN = 1e-9  # what an exact sensor may show, as a share of what w or the start does to it: rounding and last digits
 
+SHRUNK = 12
+"""Times that a witness is made smaller, by twice as much more than it exceeds its bounds by each time, until what
+closes its gaps keeps them too; else it is at rest."""
+
 CLOSED = 1e-13
 """What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
 
@@ -97,7 +101,7 @@ class AccuracyWitness(Record):
         plant, scale = self.plant, self.scales()
         size = np.max(np.abs(self.w), axis=0, initial=0.0) if units is None else units
         A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]  # what is 0 cannot close a gap
-        size = np.where(size > 0, size, 1.0)
+        moves, size = size > 0, np.where(size > 0, size, 1.0)
         flows = forced_flow(A, G, np.diff(self.edges))
         ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
         z, w = self.states / scale, self.w / size
@@ -109,6 +113,7 @@ class AccuracyWitness(Record):
             terms = np.maximum(terms, LAST_DIGIT / CLOSED * np.abs(flat).sum(axis=2))
             unit, left = terms.clip(1e-300), z[at + 1] - moved
             change = _least_change(flat / unit[:, :, None], left / unit)
+            change[:, np.tile(~moves, inside.shape[1])] = 0.0  # of what does not drive: rounding
             open_still = np.abs(left - products(flat, change))
             change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
             w[inside] += change.reshape(*inside.shape, -1)
@@ -118,16 +123,18 @@ class AccuracyWitness(Record):
 
     def propagated(self) -> AccuracyWitness:
         """Return the witness with states that follow from the first one by its disturbance."""
-        scale, states = self.scales(), [self.states[0]]
-        flows = forced_flow(self.plant.A * scale / scale[:, None], self.plant.G / scale[:, None], np.diff(self.edges))
+        scale, size = self.scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
+        A, G = self.plant.A * scale / scale[:, None], self.plant.G * size / scale[:, None]
+        flows, w = forced_flow(A, G, np.diff(self.edges)), self.w / np.where(size > 0, size, 1.0)
         ends = np.searchsorted(self.edges, self.samples)
         onward, moved = np.zeros((len(ends) - 1, len(scale), len(scale))), np.zeros((len(ends) - 1, len(scale)))
         for at, inside in _alike(ends):
             onward[at], flat = _over_gaps(flows[inside])
-            moved[at] = products(flat, self.w[inside].reshape(len(at), -1))
-        for ahead, driven in zip(onward, moved, strict=True):
-            states.append(scale * (ahead @ (states[-1] / scale) + driven))
-        return replace(self, states=freeze(states))
+            moved[at] = products(flat, w[inside].reshape(len(at), -1))
+        z = self.states / scale
+        for k, (ahead, driven) in enumerate(zip(onward, moved, strict=True)):
+            z[k + 1] = ahead @ z[k] + driven
+        return replace(self, states=freeze(scale * z))
 
     def within(self, excess: float, value: float) -> AccuracyWitness:
         """Return the witness made so small that bounds which it exceeds by a factor are kept; `value` is its row."""
@@ -160,7 +167,7 @@ class AccuracyWitness(Record):
         G = self.plant.G * np.max(np.abs(self.w), axis=0, initial=0.0) / balance[:, None]
         longest = np.max(np.diff(self.edges), initial=0.0)
         _, W = discounted_flow(self.plant.A * balance / balance[:, None], G @ G.T, [longest])
-        return balance * np.sqrt(np.diag(W[0])), balance
+        return balance * np.sqrt(longest * np.diag(W[0])), balance
 
     def explain(self) -> str:
         """Say what the witness does."""
@@ -340,4 +347,10 @@ def _within(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWit
     closed = witness.simulate(question.bounds.w).w
     witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
     value, excess = attains(witness, question.bounds, question.initial)
-    return witness.within(excess, value)
+    witness = witness.within(excess, value)
+    for turn in range(1, SHRUNK):  # a smaller one is simulated anew, and other rounding closes its gaps
+        value, excess = attains(witness, question.bounds, question.initial)
+        if excess <= 1 + KEPT / 2 or not witness.value:
+            return replace(witness, value=value)
+        witness = witness.within(1 + (excess - 1) * 2.0**turn, value)
+    return witness.within(np.inf, 0.0)

@@ -76,3 +76,34 @@ def test_no_trajectory_that_an_exact_sensor_shows_attains_a_bound(size):
     least = 1.5 * np.exp(0.4 * 0.6) * size
     assert found.lower[0] <= least * (1 + 1e-9) <= found.upper[0] * (1 + 2e-9)
     assert [found.lower[0], found.upper[0]] == pytest.approx([least, least], rel=1e-3)
+
+
+WITNESSED = {
+    "what grows, undriven": ([[0.45, 2.6], [-2.6, 0.45]], np.eye(2), [[3e13], [1e13]], [0.0], [1.6, 1.6]),
+    "an entry of w that is 0": (
+        [[-1.3, -0.3, 0.8], [-0.3, -2.5, -0.1], [0.8, -0.1, -2.2]],
+        [[-0.1, 0.9, 0.5]],
+        np.eye(3),
+        [1e-6, 0.0, 1e-6],
+        [0.9],
+    ),
+    "a start of which nothing is known": (
+        [[-0.1, 1.0, 0.0], [0.0, -0.1, 1.0], [0.0, 0.0, -0.1]],
+        [[2e-8, -5e-9, 6e-9], [-0.4, -0.3, -1.5]],
+        [[-0.17], [0.24], [0.23]],
+        [0.1],
+        [2e-9, 0.15],
+    ),
+}
+
+
+@pytest.mark.parametrize("time", [1e-9, 1e9])
+@pytest.mark.parametrize("name", WITNESSED)
+def test_what_is_attained_does_not_hang_on_the_unit_of_time(name, time):
+    """A witness's flow is that of its disturbance in units of the bound: a large G in small units costs no digits."""
+    A, C, G, w, v = WITNESSED[name]
+    plant, times = sd.Plant(np.divide(A, time), C, G=np.divide(G, time)), np.array([0.7, 1.7, 2.0]) * time
+    schedule = sd.Schedule(times) if "start" in name else sd.PeriodicSchedule.from_times(times, 2.2 * time)
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of="x1", rtol=0.05)
+    assert found.lower[0] >= found.upper[0] * 0.95
+    assert found.verify()

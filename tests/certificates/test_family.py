@@ -325,3 +325,13 @@ def test_tolerances_of_outputs_are_told_by_their_names_and_unit():
     made = sd.certify(plant, schedule, timing_tolerance={"strip": 0.02, "laboratory": 0.05}, eta=0.5, P2=np.eye(2))
     for said in (str(made), made.explain(), made.to_latex(), made.plot().get_title(loc="left")):
         assert "up to 0.02 s early or late (strip), up to 0.05 s early or late (laboratory)" in said
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6])
+@pytest.mark.parametrize("A", [[[-0.5]], [[-0.5, 1.0], [0.0, -0.5]], [[0.1, 0.3], [0.0, -0.5]]], ids=str)
+def test_what_nothing_drives_is_certified_along_families(A, unit):
+    """What decays and nothing drives leaves no covariance for coordinates, and there is no most of its information."""
+    plant = Plant(np.divide(A, unit), np.ones((1, len(A))), G=np.zeros((len(A), 1)))
+    made = sd.certify(plant, GapRange(0.8 * unit, unit), eta=0.4 / unit)
+    assert made.verify().passed
+    assert made.lam < (1.1 if A[0][0] < 0 else 10.0)

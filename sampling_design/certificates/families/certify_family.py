@@ -58,6 +58,9 @@ RESPONSE = "noise as large as what disturbances of 1 do to an output within the 
 TRIED_RATES = 3
 MEMORY_GAIN = 1.1
 """Factor by which two levels of memory must raise the information that is kept, for a further one to be tried."""
+IDLE = 1e-9
+"""Least eigenvalue of the correlations of what the nominal schedule leaves, for coordinates: what nothing drives and
+decays faster than errors are discounted has none, and below it more digits are lost than a solver has."""
 NARROWINGS = 5  # halvings of the part of a family that is certified where the whole is undecided
 LONGEST_PROOF = 60.0  # seconds in ball arithmetic for what doubles leave undecided
 ROOM = 1.05  # factor on lambda where a gap that was added leaves no point at the lambda found before
@@ -103,7 +106,7 @@ class FamilySearch:
         room = MOST_UNKNOWNS // ((graph.count - 1) * n * (n + 1) // 2)
         graph = unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
         nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
-        K = np.linalg.cholesky(np.mean(periodic_riccati_solution(nominal), axis=0))
+        K = _coordinate_root(np.mean(periodic_riccati_solution(nominal), axis=0))
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
         dynamics = dynamics_of(self.plant, self.weights, eta, np.asarray(root, dtype=np.float64), graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
@@ -224,6 +227,22 @@ class FamilySearch:
                 if proposal.P is not None and proposal.horizon < known.horizon:
                     return proposal
         return known
+
+
+def _coordinate_root(Y: Array) -> Array:
+    """A root of a covariance in the states' scales, for coordinates; of what decays and nothing drives, a little.
+
+    Of one that cannot be followed, that of the scales themselves.
+    """
+    if not np.isfinite(Y).all():
+        return np.eye(len(Y))
+    size = np.where(np.diag(Y) > 0, np.diag(Y), 1.0)
+    unit = np.sqrt(size)
+    correlations = Y / np.outer(unit, unit)
+    if np.linalg.eigvalsh(correlations)[0] < IDLE:
+        Y = Y + IDLE * np.diag(size)
+        Y = Y + np.diag(np.where(np.diag(correlations) > 0, 0.0, size))
+    return np.asarray(np.linalg.cholesky(Y), dtype=np.float64)
 
 
 def best_rates(

@@ -35,6 +35,9 @@ MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
 """Tolerance of a second attempt where the solver failed; far below MARGIN."""
 LEAST_TIME = 0.05  # seconds that a solver is given where the budget has passed
+MOST_KEPT = 1e3
+"""Information beyond so many times the nominal schedule's is not looked for: of what decays and nothing drives there is
+no most."""
 LEAST_SLACK = 1e-9  # a point counts only if the solver reached at least this slack; the tolerance asked of it
 SPARSE = 50_000
 """Numbers in the rows of an edge or node from which on zeros are left out: a long schedule's took gigabytes."""
@@ -100,6 +103,7 @@ class FamilyProgram:
         try:
             blocks = [self._edge(k, h) for k, h in self._edge_points()]
             blocks += [self._node_above(u, s, self.unit) for u, s in self._node_points()]
+            blocks.append(self._at_most(MOST_KEPT / float(np.linalg.eigvalsh(self.unit)[-1])))
             return self._largest([b for b in blocks if b[2].size], -np.inf)
         finally:
             self.P2 = given
@@ -112,10 +116,14 @@ class FamilyProgram:
         above = np.zeros((self.pairs, self._width))
         above[:, self._place(0)] = -np.eye(self.pairs) / lam
         blocks.append(("psd", above, -floor * conic_programs.svec(self.unit)))
-        cap = np.zeros((1, self._width))
-        cap[0, -1] = 1.0
-        blocks.append(("nonnegative", cap, np.ones(1)))
+        blocks.append(self._at_most(1.0))
         return self._largest(blocks, LEAST_SLACK)
+
+    def _at_most(self, value: float) -> ConeRows:
+        """The last variable is at most so much."""
+        rows = np.zeros((1, self._width))
+        rows[0, -1] = 1.0
+        return "nonnegative", rows, np.array([value])
 
     def best_ratio(self) -> ProgramSolution:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""

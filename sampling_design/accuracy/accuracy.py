@@ -164,8 +164,8 @@ def _answered(
 ) -> Accuracy:
     """The answer to a question, over its shortest period."""
     question = asked.primitive()
-    known = question.known()
-    safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
+    known = question.lasting()
+    safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
     noise = noise_enough(question, known, limit) if question.timing_tolerance and safe else None
     bounding = question.noisier(noise)
     search = GainSearch(*bounding.filter_bounds(known.plant, known.moving), budget=limit) if safe else None
@@ -260,6 +260,10 @@ def _record(
     at_samples = np.full((count, len(times)), np.inf)
     below, above = np.full((2, count, edges.size - 1), np.inf)
     witnesses: list[AccuracyWitness | None] = [None] * count
+    if not known.lift.shape[1] and not known.modes:  # nothing drives what decays: nothing is left of any start
+        for zero in (lower, upper, at_samples, below, above):
+            zero[:] = 0.0
+        known_from[:] = -np.inf
     proof: tuple[GapProof, ...] = ()
     for done, (k, search) in enumerate(found.items()):
         assert finder is not None
@@ -272,7 +276,7 @@ def _record(
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
-        moves = side is planned and not known.modes
+        moves = side is planned and known.is_whole
         witness, j, offset = _witness(side, question, searched, moves, KEPT * upper[k], limit)
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         worst[k] = question.time_of(finder.system, j) + again.opened[j].d[offset]

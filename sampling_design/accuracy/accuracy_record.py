@@ -191,7 +191,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             If a rigorous proof is asked of a finite schedule, or where a mode is unknown.
         """
         asked = self.question.primitive()
-        known = asked.known()
+        known = asked.lasting()
         if rigorous:
             if self.question.is_late:
                 raise ArgumentError("`rigorous` is for samples on time that are known at once: leave it out.")
@@ -200,7 +200,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
                     "`rigorous` is for endless schedules that show every mode; what else is known is decided "
                     "numerically. Leave it out."
                 )
-            return self._proven(asked)
+            return known.is_whole and self._proven(asked)
         return self._upper_holds(asked, known) and all(self._lower_holds(k, known) for k in range(len(self.rows)))
 
     def _proven(self, asked: AccuracyQuestion) -> bool:
@@ -218,7 +218,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         lost = np.array([known.touches(row) for row in self.rows.matrix], dtype=bool)
         if not np.all(np.isinf(self.upper[lost])):
             return False
-        if lost.all():
+        if lost.all() or not known.plant.n_states:
             return True
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
         search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))

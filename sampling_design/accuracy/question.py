@@ -12,7 +12,7 @@ from sampling_design.accuracy.bounds import Bound, InitialError, InitialSet, Noi
 from sampling_design.accuracy.finite import finite_directions, finite_system
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sampled_system import SampledSystem, periodic_system
-from sampling_design.accuracy.undetectable import DetectablePart, known_part
+from sampling_design.accuracy.undetectable import DetectablePart, known_part, lasting_part
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -162,8 +162,22 @@ class AccuracyQuestion:
         if not self.schedule.endless:
             n = self.plant.n_states
             return DetectablePart(self.plant, np.eye(n), np.zeros((n, 0)), ())
+        return self._known_of(self.plant)
+
+    def lasting(self) -> DetectablePart:
+        """The same without what an endless past has left nothing of: where nothing drives the plant, what decays."""
+        driven = self.plant.G * self.bounds.w
+        if self.schedule.endless and not driven.any() and self.bounds.w_centre is None:
+            left = lasting_part(self.plant, float(self.end - self.nodes[0]))
+            if left is not None:
+                known = self._known_of(left.plant)
+                lift, unknown = left.lift @ known.lift, left.lift @ known.unknown
+                return DetectablePart(known.plant, lift, unknown, known.modes, known.moving)
+        return self.known()
+
+    def _known_of(self, plant: Plant) -> DetectablePart:
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
-        return known_part(self.plant, self.nodes, self.schedule.period, outputs)
+        return known_part(plant, self.nodes, float(self.end - self.nodes[0]), outputs)
 
     def filter_bounds(
         self, plant: Plant, moving: Array | None = None

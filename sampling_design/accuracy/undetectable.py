@@ -21,6 +21,10 @@ HIDDEN = 1e-11
 """A direction of a free start is hidden if rows, each of length one, show less than this of it: what rounding makes of
 a mode that no output sees. An end that is infinite for it is no false claim."""
 
+DECAYED = 1e-8
+"""Share of |A|, balanced, by which a mode must decay at least to leave nothing where nothing drives it: the line
+between stable modes and others (`plants/modes.py`)."""
+
 GROWN = 200.0  # logarithm of the growth up to which outputs are looked at: what grows more says nothing more of sizes
 GOLDEN = 1.618  # exponent that spreads times so that no mode is missed by its period
 ROUNDED = 1e-12  # an entry of orthonormal columns below this is none
@@ -32,12 +36,19 @@ class DetectablePart:
     """The plant without its unknown part: x = lift z + unknown."""
 
     plant: Plant  # the plant itself where nothing is unknown
-    lift: Array  # (n, r): x = lift z + unknown part: a row of x that the unknown part does not touch is row lift of z
+    # (n, r): x = lift z + unknown part, once what nothing drives has decayed: a row of x that the unknown part does not
+    # touch is row lift of z
+    lift: Array
     unknown: Array  # (n, n - r): what spans the unknown part
     modes: tuple[str, ...]  # its eigenvalues, in words
     # (n, m): what no sample shows, as it is at the first one, where that moves on (the samples come at a period of a
     # mode that the outputs see at other times): `plant` is then whole, and `unknown` all that it passes through
     moving: Array | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has all states, each in its place."""
+        return self.lift.shape[0] == self.lift.shape[1] == self.plant.n_states and not self.unknown.size
 
     def touches(self, row: Array) -> bool:
         """Whether the unknown part changes row'x."""
@@ -78,6 +89,22 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) 
     names = Signals([f"known{i + 1}" for i in range(N.shape[1])])
     reduced = replace_matrices(plant, N.T @ A @ N, plant.C * d @ N, N.T / d, names)
     return DetectablePart(reduced, d[:, None] * N, d[:, None] * U, open_modes(plant.A, d[:, None] * U))
+
+
+def lasting_part(plant: Plant, period: float) -> DetectablePart | None:
+    """Return what is left for ever of a plant that nothing drives: what does not decay; None if that is all of it."""
+    d = balanced_schur(plant.A).d
+    A = plant.A * d / d[:, None]
+    values = [complex(cluster.value) for cluster in eigenvalue_clusters(plant.A)]
+    least = max(DECAYS / period, DECAYED * float(np.linalg.norm(A, 2)))
+    lasting = [value for value in values if value.real >= -least]
+    if len(lasting) == len(values):
+        return None
+    X = _invariant(A, lasting, values) if lasting else np.zeros((plant.n_states, 0))
+    U = _cleaned(np.linalg.svd(np.hstack([X.real, X.imag]), full_matrices=False)[0][:, : X.shape[1]])
+    names = Signals([f"lasting{i + 1}" for i in range(U.shape[1])])
+    reduced = replace_matrices(plant, U.T @ A @ U, plant.C * d @ U, U.T / d, names)
+    return DetectablePart(reduced, d[:, None] * U, np.zeros((plant.n_states, 0)), ())
 
 
 def _cleaned(U: Array) -> Array:

@@ -9,6 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import search
+from sampling_design.accuracy import witness as witnessing
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.errors import ArgumentError
 from sampling_design.plants import library
@@ -379,3 +380,39 @@ def test_within_a_limit_one_adversary_is_simulated_or_the_one_of_the_shortest_hi
     else:
         assert 1 <= len(simulated) <= 2
         assert simulated[-1] == min(simulated)
+
+
+@pytest.mark.parametrize(("lasts", "late"), [(False, 0.0), (False, 0.02), (True, 0.0)])
+def test_what_decays_and_nothing_drives_is_nothing_in_the_end(lasts, late):
+    """Of an endless past only what does not decay is left: the same accuracy as without the rest of the plant."""
+    rng = np.random.default_rng(5)
+    T, A, C = np.linalg.qr(rng.standard_normal((3, 3)))[0], np.diag([0.0, -0.3, -40.0]), rng.standard_normal((2, 3))
+    A[0, 0], A[0, 1] = (0.4, 0.0) if lasts else (-0.3, 1.0)
+    bounds = {"w_bound": 0.0, "v_bound": [0.2, 0.1], "timing_tolerance": late}
+    plant, schedule = sd.Plant(T @ A @ T.T, C @ T.T, G=T @ rng.standard_normal((3, 1))), sd.PeriodicSchedule([0.5, 0.8])
+    found = sd.guaranteed_accuracy(plant, schedule, of=T.T, **bounds)
+    assert found.upper[1:] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert found.verify()
+    if lasts:
+        alone = sd.guaranteed_accuracy(sd.Plant([[0.4]], C[:, :1]), schedule, **bounds)
+        assert [found.lower[0], found.upper[0]] == pytest.approx([alone.lower[0], alone.upper[0]], rel=1e-6)
+    else:
+        assert not found.upper.any()
+        assert found.closed.all()
+
+
+def test_a_witness_is_made_smaller_until_it_keeps_its_bounds(monkeypatch):
+    """A smaller one is closed by another rounding, which may exceed a bound again."""
+    walk = sd.Plant([[0.0]], [[1.0]])
+    found = sd.guaranteed_accuracy(walk, sd.PeriodicSchedule([1.0]), w_bound=0.3, v_bound=1.0)
+    exact, seen = witnessing.attains, list[float]()
+
+    def rounded(*given):
+        value, excess = exact(*given)
+        seen.append(excess * (1 + 1e-8 * (len(seen) < 5)))
+        return value, seen[-1]
+
+    monkeypatch.setattr(witnessing, "attains", rounded)
+    kept = witnessing.admissible(found.witnesses[0], found.question)
+    assert seen[-1] <= 1 < max(seen[:-1])
+    assert kept.value == pytest.approx(found.witnesses[0].value, rel=1e-6)

@@ -93,8 +93,6 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     kept: tuple[Array, Array] | None = None
     for turn in range(TURNS):
         search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
-        if search.system.start is None:
-            search.back = int(np.clip(search.system.memory, search.back, FARTHEST))
         found = added(search, question, known, seek=not budget.over)
         if not np.isfinite(found).all():
             break
@@ -123,7 +121,13 @@ def is_enough(noise: Array, found: Array, room: float = MORE / 2) -> bool:
 
 
 def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
-    """Return g (N, p): what samples add at most that come so early or late, by directions of a search, or new ones."""
+    """Return g (N, p): what samples add at most that come so early or late, by directions of a search, or new ones.
+
+    New ones look back as far as the filter remembers, whatever the search does for its rows.
+    """
+    own = search.back
+    if seek and search.system.start is None:
+        search.back = int(np.clip(search.system.memory, search.back, FARTHEST))
     late, g = question.timing_tolerance, np.zeros_like(question.bounds.v)
     forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
@@ -133,6 +137,7 @@ def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart,
             return np.full_like(g, np.inf)
         sides, table = (float(forward[i]), float(back[i])), tables.setdefault(i, ({}, {}))
         g[j, i] = sample_adds(search, node, row @ known.lift, sides, table, seek)
+    search.back = own
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
     return g

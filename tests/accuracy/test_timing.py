@@ -361,3 +361,10 @@ def test_a_delay_is_the_same_as_waiting_for_the_next_result():
     assert late.profile.upper[0, at] == pytest.approx(alone.profile.upper[0, -1], rel=0.02)
     with pytest.raises(ArgumentError, match=r"`end` not before 2\.5, when the last result is in, got 0 and 2\.1"):
         guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), end=2.1, **delayed)
+
+
+def test_noise_that_stands_for_times_is_proven_again_where_filters_remember_long():
+    """The gains that are kept look as far back as those by which the noise was found to be enough."""
+    drifting = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    found = guaranteed_accuracy(drifting, EVEN, w_bound=1e-3, v_bound=0.1, of="x1", timing_tolerance=1e-3)
+    assert found.verify()

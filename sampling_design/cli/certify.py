@@ -15,6 +15,7 @@ from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import files
+from sampling_design.cli.estimate import known_bounds
 from sampling_design.cli.options import UNBOUNDED, BoundOptions, CertificateArgument, PlantFile, Rigorous, timing
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
@@ -36,7 +37,10 @@ OPTIONS = {
 
 ScheduleFile = Annotated[
     Path | None,
-    typer.Argument(metavar="SCHEDULE", help="Schedule file; none with --gap-range, --spaced, --detectability."),
+    typer.Argument(
+        metavar="SCHEDULE",
+        help="Schedule file; none where PLANT is a plan, or with --gap-range, --spaced, --detectability.",
+    ),
 ]
 Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error; default: searched.")]
 NoiseGain = Annotated[
@@ -84,15 +88,17 @@ def certify(
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
     With -o DIR: certificate.json and .png (family.png for a family, horizons.png with --horizons), constants.md and
-    constants.tex. With bounds the weights follow from them, for narrow radii; without, the horizon is short. With
+    constants.tex. With bounds the weights follow from them, for narrow radii; without, the horizon is short. A plan
+    (plan.json) for PLANT or SCHEDULE brings its bounds, and the samples of its sensors at their times. With
     --detectability: exponential i-iIOSS of the plant, measured all the time; one file.
 
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
-    plant = settings.part(files.plant(plant_file))
+    full = files.plant(plant_file)
+    plant = settings.part(full)
     given = {"gap-range": gap_range, "spaced": spaced, "timing-tolerance": timing_tolerance, "lost": lost}
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
-    if horizons and (families or schedule_file is None):
+    if horizons and (families or detectability):
         raise ArgumentError("`--horizons` compares those of one SCHEDULE: it goes without a family or --detectability.")
     bounds = typed.of(plant)
     if detectability:
@@ -103,7 +109,11 @@ def certify(
             raise ArgumentError("`--detectability` has weights of its own and goes without bounds.")
         _detectability(settings, plant, certificate_file, eta, noise_gain)
         return
-    times = _times(settings, plant, schedule_file, families)
+    if not families.keys() & {"gap-range", "spaced"}:
+        otherwise = "" if families else ", or a family such as --gap-range"
+        schedule_file = files.schedule_path(plant_file, schedule_file, otherwise)
+    times, planned = _times(settings, plant, schedule_file, families), files.plan_in(schedule_file)
+    bounds = known_bounds(settings, plant, full, bounds, planned)
     budget = Budget(settings.budget)
     with settings.progress("certify") as progress:
         certificate = sd.certify(
@@ -123,6 +133,11 @@ def certify(
         notes = [table("Four horizons", heads, compared.cells())]
         notes += [f"{r.name}: {r.note}" for r in compared.rows if r.note]
     notes.append(certificate.explain())
+    if planned is not None and not families:
+        late = planned.problem.timing_tolerance
+        own = f" (the plan lets them be {late.describe(planned.plant.time_unit)})" if late else ""
+        more = "none lost: --timing-tolerance and --lost allow for more."
+        notes.append(f"It is about the plan's samples at their times{own}, {more}")
     if (folder := settings.folder()) is not None:
         _write(settings, folder, certificate, compared)
         made = folder / "certificate.json"
@@ -149,11 +164,8 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
     if len(families) > 1:
         raise ArgumentError(f"`--{'` and `--'.join(families)}` exclude each other: certify one family at a time.")
     kind = next(iter(families), None)
-    if (path is None) == (kind in (None, "timing-tolerance", "lost")):
-        need = "a SCHEDULE file" if path is None else "no SCHEDULE file"
-        raise ArgumentError(
-            f"`certify` needs {need} {'with --' + kind if kind else 'or a family such as --gap-range'}."
-        )
+    if path is not None and kind in ("gap-range", "spaced"):
+        raise ArgumentError(f"`certify` needs no SCHEDULE file with --{kind}.")
     schedule = None if path is None else files.schedule_for(settings, plant, path)
     try:
         if kind == "gap-range":

@@ -114,8 +114,7 @@ def schedule_for(settings: Settings, plant: Plant, path: Path) -> AnySchedule:
 
 def plan_in(path: Path | None) -> Plan | None:
     """The plan of a file, which holds its plant and its schedule; None where the file is another one."""
-    is_plan = path is not None and path.suffix == ".json" and kind_of(path) == "plan"
-    return plan(path) if path is not None and is_plan else None
+    return plan(path) if path is not None and kind_of(path) == "plan" else None
 
 
 def requirement(path: Path | None) -> Requirement:

@@ -102,9 +102,9 @@ def window_length(
 
 def _end_bracket(settings: Settings, found: WindowSigma | WorstCaseSigma, split: ModalSplit, name: str) -> None:
     """Write and show a bracket; leave with 3 where it did not close and with 1 where sigma is proven to be nothing."""
-    from sampling_design.observability.sigma_bracket import coordinates_in
+    from sampling_design.observability.sigma_bracket import coordinates_of
 
-    result = replace(found, coordinates=coordinates_in(split))
+    result = replace(found, coordinates=coordinates_of(split.plant, split.retained))
     settings.draw(result, name)
     settings.finish(result, result.to_dict(), name)
     proven = result.status == "timing" and result.lower > 0  # for all real times, if not as near as can be

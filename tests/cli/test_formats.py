@@ -85,7 +85,17 @@ def test_no_command_was_forgotten():
     assert set(app.COMMANDS) == {*COMMANDS, "thyroid", "new", "explore"}  # looked at in files of their own
 
 
-@pytest.mark.parametrize("command", ["sigma", "accuracy --w 0.1 --v 0.1", "validate --runs 1"])
+ALONE = ["sigma", "accuracy --w 0.1 --v 0.1", "validate --runs 1", "certify"]
+
+
+def test_no_command_of_a_schedule_refuses_a_plan_alone():
+    from sampling_design.cli import app
+
+    takes = {name for name in app.COMMANDS if any(p.metavar == "SCHEDULE" for p in app.loaded(name).params)}
+    assert takes == {"compare", *(line.split()[0] for line in ALONE)}  # compare in a file of its own
+
+
+@pytest.mark.parametrize("command", ALONE)
 def test_a_plan_stands_for_plant_and_schedule(shell, folder, command):
     name, *flags = command.split()
     one, two = (shell(name, *["plan.json"] * count, *flags, "--json") for count in (1, 2))

@@ -180,7 +180,7 @@ LINES = {
     "more lost than there are": ("certify p.toml s.csv --lost 4 3", "`--lost D`"),
     "no windows": ("certify p.toml --spaced -1 3 0.5", "`--spaced T` must be positive"),
     "one word for gaps": ("certify p.toml --gap-range 0.5-2", "requires 2 arguments"),
-    "neither schedule nor family": ("certify p.toml", "needs a SCHEDULE file or a family such as --gap-range"),
+    "neither schedule nor family": ("certify p.toml", "a plan (plan.json) for PLANT, or a family such as --gap-range"),
     "a plain table as schedule": (
         "sigma p.toml bare.csv",
         'A schedule begins with the line "# sampling-design schedule',

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -135,6 +136,23 @@ def small_plan(tmp_path_factory):
     rows = "".join(f"{t!r},{math.cos(t)!r},{-math.sin(t)!r}\n" for t in plan.schedule.between(0.1, 14.0).times.tolist())
     (folder / "measured.csv").write_text(f"time,position,speed\n{rows}")
     return plan, plan.save(folder / "plan.json"), folder / "measured.csv"
+
+
+def test_a_plan_is_certified_with_its_samples_and_bounds_whatever_its_file_is_called(shell, small_plan, tmp_path):
+    plan, file, _ = small_plan
+    renamed = shutil.copy(file, tmp_path / "mine.txt")
+    sd.plants.write_plant(plan.plant, tmp_path / "plant.toml")
+    sd.schedules.write_schedule(plan.schedule, tmp_path / "schedule.csv")
+    apart = [tmp_path / "plant.toml", tmp_path / "schedule.csv", "--w", 0.02, "--v", "0.2,0.2", "--initial-error", 1.5]
+    alone, typed = shell("certify", renamed, "--certificate", tmp_path / "c.json"), shell("certify", *apart, "--json")
+    found, same = json.loads((tmp_path / "c.json").read_text()), json.loads(typed.out)
+    assert all(found[key] == same[key] for key in ("eta", "lam", "P2", "Qw", "R"))
+    assert "--v-bound not given: that of the plan" in alone.err
+    said = "It is about the plan's samples at their times, none lost: --timing-tolerance and --lost allow for more."
+    assert said in " ".join(alone.out.split())
+    late = " ".join(shell("certify", renamed, "--timing-tolerance", 0.1).out.split())
+    assert "early or late" in late
+    assert said not in late
 
 
 @pytest.mark.parametrize("place", few(["plant", "schedule", "both"], 2))

@@ -21,6 +21,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
+from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, TableRecord, above, below, moment
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
@@ -48,6 +49,8 @@ class SampleLosses(TableRecord):
         Unit of the times.
     deviations : SigmaDeviations or None
         What is left of `sigma` if samples come early or late.
+    coordinates : str
+        Those that sigma refers to.
     """
 
     times: Array
@@ -58,6 +61,7 @@ class SampleLosses(TableRecord):
     every_period: bool
     time_unit: str | None = None
     deviations: SigmaDeviations | None = None
+    coordinates: str = "physical"
 
     @property
     def price(self) -> Array:
@@ -77,7 +81,7 @@ class SampleLosses(TableRecord):
     _answers = (
         "sigma of a design without each single sample",
         "proven: over every window, and what no schedule with one sample fewer exceeds",
-        "at worst {_least:down} of {sigma} is left",
+        "at worst {_least:down} of {sigma} is left ({coordinates} coordinates, state at the window's start)",
         "`window_sigma` of the schedule without a sample",
     )
 
@@ -91,7 +95,7 @@ class SampleLosses(TableRecord):
         columns = zip(*(a.tolist() for a in (self.times, self.lower, self.upper, self.bound)), strict=True)
         rows = [{"time": t, "lower": low, "upper": up, "bound": top} for t, low, up, top in columns]
         left = None if self.deviations is None else self.deviations.to_dict()
-        return {"sigma": self.sigma, "deviations": left, "every_period": self.every_period, "without": rows}
+        return {**selected(self, "sigma coordinates every_period"), "deviations": left, "without": rows}
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", below(self.sigma))]
@@ -183,7 +187,8 @@ def sample_losses(
     bound = np.maximum(_bounds(design, periods, every_period, given, rng), lower)  # it may round to just below a proof
     lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
     times, left = design.schedule.times, None if given.over else design.deviations
-    return SampleLosses(times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit, left)
+    unit, coordinates = design.schedule.time_unit, design.coordinates
+    return SampleLosses(times, design.sigma, lower, upper, bound, every_period, unit, left, coordinates)
 
 
 @checked

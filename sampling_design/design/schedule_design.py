@@ -16,7 +16,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound, default_window, zero_count_bound
-from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_in
+from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_of
 from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.windows.window_sigma import deviations_of, window_sigma
 from sampling_design.plants.modes import ModalSplit, split_modes
@@ -120,7 +120,7 @@ class ScheduleDesign(PlainRecord):
     @property
     def coordinates(self) -> str:
         """Which coordinates sigma, the bound and the gap refer to."""
-        return coordinates_in(self.split)
+        return coordinates_of(self.split.plant, self.split.retained)
 
     @property
     def cost(self) -> float:
@@ -349,7 +349,7 @@ def prove(
         split.retained, schedule, float(requirement.window or 0), rtol, budget=budget, progress=progress,
         timing_tolerance=TimingTolerance.of(requirement.timing_tolerance).plain,
     )  # fmt: skip
-    return replace(found, coordinates=coordinates_in(split))
+    return replace(found, coordinates=coordinates_of(split.plant, split.retained))
 
 
 def _cost(requirement: Requirement, name: str) -> float:

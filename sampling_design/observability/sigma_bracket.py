@@ -11,7 +11,6 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import FunctionalPlant
-from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.record import Plain, PlainRecord, Record, above, below, short
@@ -187,15 +186,16 @@ def in_balls(found: Bracket, proof: ProvenSigma, room: float = 1.0) -> Bracket:
     return replace(found, lower=proof.lower, status=status, rigorous=True)
 
 
-def coordinates_of(plant: Plant) -> str:
-    """Which coordinates sigma of a plant refers to: those of its scales, where it has any, or of chosen rows."""
-    return "functional" if isinstance(plant, FunctionalPlant) else "scaled" if plant.has_scales else "physical"
+def coordinates_of(plant: Plant, retained: Plant | None = None) -> str:
+    """Which coordinates sigma of a plant refers to: those of its scales, where it has any, or of chosen rows.
 
-
-def coordinates_in(split: ModalSplit) -> str:
-    """Which coordinates sigma of what a split retains refers to; "modal": an orthonormal basis of it."""
-    plant = coordinates_of(split.plant)
-    return plant if split.retained is split.plant or plant == "functional" else "modal"
+    Of what is `retained` of it "modal": an orthonormal basis of that.
+    """
+    if isinstance(plant, FunctionalPlant):
+        return "functional"
+    if retained is not None and retained is not plant:
+        return "modal"
+    return "scaled" if plant.has_scales else "physical"
 
 
 def rtol_and_seconds(rtol: float, budget: float | None) -> tuple[float, float]:

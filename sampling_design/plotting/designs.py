@@ -157,12 +157,7 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     _whole_counts(ax)
     ends = (f"{counted(p.samples, 'sample')}: sigma {below(p.sigma, 4)}" for p in (points[0], points[-1]))
     coordinates = next((p.coordinates for p in points if p.coordinates), "physical")
-    return style.finished(ax, _sigma_label(coordinates), "; ".join(dict.fromkeys(ends)))
-
-
-def _sigma_label(coordinates: str) -> str:
-    """Sigma, and what it refers to."""
-    return f"sigma ({'' if coordinates == 'physical' else f'{coordinates}, '}state at window's start)"
+    return style.finished(ax, style.sigma_label(coordinates), "; ".join(dict.fromkeys(ends)))
 
 
 def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
@@ -174,7 +169,7 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {below(losses.sigma, 4)}")
     for t, low in zip(losses.times, losses.lower, strict=True):
         said = f"{100 * (low / losses.sigma - 1):+.0f} %" if losses.sigma > 0 else ""
-        style.note(ax, said, (t, low), (7, 0), va="center")
+        style.note(ax, said, (t, low), (7, 3))  # above what is drawn at its height
     top, least = max(losses.sigma, float(np.max(losses.bound))), float(min(np.min(losses.lower), losses.sigma))
     if (left := losses.deviations) is not None and not left.in_sigma:
         label = f"with all, {left.tolerance.describe(left.time_unit)}: {below(left.late, 4)}"
@@ -186,7 +181,7 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     worst = style.moment(ax, losses.times[int(np.argmin(losses.lower))], losses.time_unit, 4)
     missed = "missing in every period" if losses.every_period else "missed once"
     dear = "each sample costs as much" if losses.alike else f"the sample at {worst} costs most"
-    return style.finished(ax, "sigma (state at window's start)", f"{missed}: {dear}", 2)
+    return style.finished(ax, style.sigma_label(losses.coordinates), f"{missed}: {dear}", 2)
 
 
 def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
@@ -225,7 +220,7 @@ def draw_window_sigma(
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
     title = f"sigma is at least {below(result.lower, 4)} in every window"
-    return style.finished(ax, _sigma_label(result.coordinates), title, columns)
+    return style.finished(ax, style.sigma_label(result.coordinates), title, columns)
 
 
 def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:

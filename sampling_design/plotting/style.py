@@ -200,6 +200,11 @@ def legend(ax: matplotlib.axes.Axes, columns: int = 0) -> None:
         ax.set_title(title, loc="left", pad=8.0 + 16.0 * -(-len(handles) // per_row), fontsize="medium")
 
 
+def sigma_label(coordinates: str) -> str:
+    """Sigma, and what it refers to."""
+    return f"sigma ({'' if coordinates == 'physical' else f'{coordinates}, '}state at window's start)"
+
+
 def finished(ax: matplotlib.axes.Axes, ylabel: str, title: str, columns: int = 0) -> matplotlib.axes.Axes:
     """Name the y axis, give the picture its title and its legend, and return it."""
     ax.set_ylabel(ylabel)

@@ -94,7 +94,7 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         bottom.plot(*curve, color=colour, linewidth=width, label=label)
     style.from_below(bottom, 0.0, bottom.get_ylim()[1] / 1.08)
     style.time_axis(bottom, log.time_unit, "end of the window")
-    bottom.set_ylabel("sigma (state at window's start)")
+    bottom.set_ylabel(style.sigma_label(log.planned_sigma.coordinates))
     style.legend(bottom)
     return style.Panels([top, bottom])
 

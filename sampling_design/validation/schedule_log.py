@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.observability.alignment import align
+from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, sigma_of_pieces
 from sampling_design.observability.windows.window_sigma import deviations_of
@@ -248,7 +249,8 @@ def compare_schedule(
         limit, part = Budget(budget), _distinct_windows(plan, planned, start + length)
         before = _judged(judged, part, length, budget, progress, start)
         beside = partial(deviations_of, judged, part, length, ON_TIME, before.lower, start, limit.left)
-        before = replace(before, beside=beside)
+        named = coordinates_of(plant, judged)
+        before, after = replace(before, beside=beside, coordinates=named), replace(after, coordinates=named)
         if max(len(planned), len(taken)) > STRETCH:
             before, after = (
                 replace(sigma, profile=_around(judged, each, length, after.witness.t, start).profile)

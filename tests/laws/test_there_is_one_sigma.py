@@ -26,7 +26,9 @@ from sampling_design.design import sample_losses
 from sampling_design.plants.files import write_plant
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Signals
+from sampling_design.plotting import style
 from sampling_design.schedules.files import write_schedule
+from sampling_design.validation import compare_schedule
 from tests.cases import few
 
 QUICK = {"starts": 1, "branches": 0}
@@ -99,13 +101,22 @@ def test_losses_state_the_sigma_of_the_design_and_the_bound_of_a_front():
     plant = with_scales(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), [2.0, 2.0], [0.1])
     design = design_schedule(plant, Requirement(**ASKED), **QUICK)
     losses = sample_losses(design, every_period=True)
-    assert losses.sigma == design.sigma
+    assert (losses.sigma, losses.coordinates) == (design.sigma, design.coordinates)
+    assert losses.plot().get_ylabel() == "sigma (scaled, state at window's start)"
     times, period = design.schedule.times, design.schedule.period
     for i in range(3):
         rest = PeriodicSchedule.from_times(np.delete(times, i), period, time_unit="h")
         assert losses.lower[i] == window_sigma(plant, rest, 4.0).lower
     (fewer,) = pareto_front(plant, Requirement(**ASKED), [2]).points
     assert losses.bound == pytest.approx(np.maximum(min(fewer.upper_bound, design.upper_bound), losses.lower))
+
+
+def test_a_comparison_names_the_coordinates_of_the_design(designed):
+    plant, design = designed
+    taken = design.schedule.between(0.0, 9.0).times
+    log = compare_schedule(plant, design.schedule, taken, 4.0, retained=design.split.retained)
+    assert log.planned_sigma.coordinates == log.actual_sigma.coordinates == design.coordinates
+    assert log.plot()[1].get_ylabel() == style.sigma_label(design.coordinates)
 
 
 def test_a_target_is_that_sigma(designed):

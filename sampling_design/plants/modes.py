@@ -111,7 +111,7 @@ class ModalSplit(TableRecord, PlainRecord):
         if self.retained.n_states == 0:
             return (
                 "Nothing is retained: every mode decays at the rate asked for, so no samples are needed. "
-                "Ask for a faster decay with `decay_rate` to have slow modes observed."
+                "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
             )
         said = (
             f"{self.retained.n_states} of {self.plant.n_states} states must be observed; the others decay by "

@@ -67,8 +67,8 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
     """
     picture = picture_of(record)
     if picture is None:
-        got = type(record).__name__
-        raise ArgumentError(f"`record` has no picture: got {got}, expected one of {', '.join(sorted(_PICTURES))}.")
+        drawn = "schedules, designs, plans, certificates, accuracies, estimates and reports have"
+        raise ArgumentError(f"`record` has no picture of its own, got {described(record)}: {drawn}.")
     _check_axes(ax)
     room, function = picture
     drawing = getattr(import_module(f"sampling_design.plotting.{room}"), function)

@@ -362,7 +362,14 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
                 return taken
         seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
         likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
-        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely}")
+        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely or lacking(value)}")
+
+    def lacking(value: object) -> str:
+        """What a protocol asks for, where it is all that is asked for, and this has not."""
+        asked = [kind for kind in _classes(hint) if kind is not type(None)]
+        alone = asked[0] if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else object
+        missing = [f"`{key}`" for key in vars(alone) if key[0] != "_" and not hasattr(value, key)]
+        return f" It has no {' and no '.join(missing)}." if missing else ""
 
     return check
 

@@ -96,7 +96,7 @@ def test_a_name_that_no_column_gives_back_is_not_written(tmp_path, name):
         ("time,date,gauge,flow,pump\n", "the header must hold `time` or `date`"),
         ("time,gauge,pump\n", "column 'flow' is missing; the plant names gauge, flow, pump"),
         ("time,gauge,gauge,flow,pump\n", "column 'gauge' occurs twice"),
-        ("time,gauge,flow,pump,gague\n", "unknown column.*'gague' in the header. Did you mean 'gauge'"),
+        ("time,gauge,flow,pump,gague\n", "unknown key 'gague' in the header. Did you mean 'gauge'"),
         ("time,gauge,flow,pump\n0,1,2\n", "line 2 has 3 cells, expected 4"),
         ("time,gauge,flow,pump\n0,1,2,3,4\n", "line 2 has 5 cells, expected 4"),
         *(
@@ -334,7 +334,7 @@ def test_dates_of_a_frame_are_times_though_all_of_them_are_midnights():
         ("time,time_until,gauge,flow,pump\n2,1,1,,0\n", "line 2 ends before it begins: '1'"),
         ("time,time_until,gauge,flow,pump\n0,,1,,0\n1,2,1,,3\n", "changes an input at a time that is not known"),
         ("time,time_until,gauge,gauge_since,flow,pump\n0,,1,,,0\n1,2,1,0.5,,\n", "holds a mean, whose end must"),
-        ("time,date_until,gauge,flow,pump\n1,2,1,,0\n", "unknown column"),
+        ("time,date_until,gauge,flow,pump\n1,2,1,,0\n", "unknown key"),
     ],
 )
 def test_a_row_whose_time_is_not_known_is_refused_in_a_sentence(tmp_path, text, words):

@@ -316,6 +316,16 @@ def test_an_index_of_numbers_without_a_name_is_the_time_unless_it_counts_the_row
     assert estimates.times.tolist() == [0.0, 6.5]
 
 
+def test_spans_of_time_are_times_in_the_unit_of_the_plant_and_other_indices_say_none():
+    spans = pandas.to_timedelta(["0 min", "390 min", "27 h"])
+    frame = pandas.DataFrame({"gauge": [1.0, 2.0, 3.0]}, index=spans)
+    for given in (frame, frame["gauge"], frame.reset_index(names="time"), frame.reset_index(names="Time")):
+        assert sd.read_measurements(given, TANK).times.tolist() == [0.0, 6.5, 27.0]
+    months = frame.set_axis(pandas.period_range("2026-01", periods=3, freq="M"))
+    with pytest.raises(FileFormatError, match=r"and its index of period\[M\] says no times"):
+        sd.read_measurements(months, TANK)
+
+
 def test_the_only_column_of_dates_is_the_date_whatever_its_name():
     stamps = pandas.to_datetime(["2026-03-02 08:00", "2026-03-02 14:30"])
     frame = pandas.DataFrame({"when": stamps, "gauge": [1.0, 2.0]})

@@ -14,6 +14,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.records.measurement_table import STAMPS, MeasuredPlant
 from sampling_design.records import checks, file_io
+from sampling_design.records.units import SECONDS
 
 
 @runtime_checkable
@@ -29,6 +30,7 @@ class DataFrame(Protocol):
 class _PandasFrame(DataFrame, Protocol):
     index: object
 
+    def assign(self, **columns: object) -> _PandasFrame: ...
     def rename_axis(self, mapper: str) -> _PandasFrame: ...
     def reset_index(self) -> _PandasFrame: ...
     def to_csv(self, *, index: bool, date_format: str, lineterminator: str) -> str: ...
@@ -92,6 +94,15 @@ def lines_of(
     stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
     if isinstance(frame, _PandasFrame) and not stamps and (stamp := _stamp_of(frame.index, alone=not dates)):
         frame, header, stamps = frame.rename_axis(stamp).reset_index(), [stamp, *header], [-1]
+    elif isinstance(frame, _PandasFrame) and not stamps and not dates:
+        kind = getattr(frame.index, "dtype", "unknown")
+        raise FileFormatError(
+            f"the frame: has no column `time` or `date`, and its index of {kind} says no times.", file_io.FRAME
+        )
+    for name in frame.columns:
+        if isinstance(frame, _PandasFrame) and str(name).lower() in STAMPS and _kind(frame[name]) == "m":
+            seconds = np.asarray(frame[name]) / np.timedelta64(1, "s")
+            frame = frame.assign(**{str(name): seconds / SECONDS[plant.time_unit]})
     for k in dates if stamps or len(dates) == 1 else ():
         header[k] = "date" if k in stamps or not stamps else header[k]
     first = io.StringIO()
@@ -149,7 +160,7 @@ def _stamp_of(index: object, alone: bool) -> str:
     """What a file calls the index of a frame, "" where it says no times; `alone`: nor does another column."""
     kind, named = _kind(index), getattr(index, "name", None)
     name = str(named).lower()
-    if kind == "M" or name in (*STAMPS, "t"):
+    if kind in "Mm" or name in (*STAMPS, "t"):
         return "date" if kind == "M" or name == "date" else "time"
     if named is not None or getattr(index, "nlevels", 1) > 1 or kind not in "iuf" or not alone:
         return ""

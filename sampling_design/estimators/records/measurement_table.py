@@ -390,7 +390,7 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
         checks.known_keys("the header", header, known)
     except ArgumentError as error:
         slip = f" Take a column that is neither out; the plant names {', '.join(wanted)}."
-        raise FileFormatError(f"{where}: unknown column: {error}{slip}", where) from None
+        raise FileFormatError(f"{where}: {error}{slip}", where) from None
     return stamps[0]
 
 

@@ -33,6 +33,7 @@ with contextlib.suppress(ImportError):  # an earlier Hypothesis draws none of th
     importlib.import_module("hypothesis.internal.conjecture.providers").is_local_module_file = lambda path: False
 FEWER: dict[str, dict[str, Any]] = {
     "design.search.local_search": {"KICKS": 0, "LED": 1, "FEW": 1, "DRAWS": 20},
+    "design.search.costs": {"_TRIED": 2, "_DRAWN": 4},
     "design.bounds.weak_duality": {"CELLS": 300, "CELLS_PER_RATE": 12.0},
     "design.bounds.zone_bound": {"_POINTS": 24},
     "design.bounds.relaxation": {"_ENTRIES": 800},
@@ -65,6 +66,11 @@ WHOLE = (
     "sampling_design",
 )
 """Where searches are whole: where they are judged, and where figures of the documentation are."""
+SHARED = (
+    ("tests/planning/",),
+    ("tests/laws/test_no_raw_exception", "tests/laws/test_a_budget_binds", "tests/records/test_signatures"),
+)
+"""Files that one process runs: the week's plan of one room, and one object of each kind, take seconds to be made."""
 gc.set_threshold(1_000_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
 
 
@@ -113,7 +119,21 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Give each file to one process, the largest first: what its tests share is made once, not once in each."""
     if config.getoption("dist") != "load":
         return None
-    return importlib.import_module("xdist.scheduler").LoadFileScheduling(config, log)
+    scheduling = importlib.import_module("xdist.scheduler").LoadFileScheduling(config, log)
+    scheduling._split_scope, scheduling._pending_of = unit_of, pending_of
+    return scheduling
+
+
+def unit_of(nodeid: str) -> str:
+    """What goes to one process: a file, or several that share what they make."""
+    return next((files[0] for files in SHARED if nodeid.startswith(files)), nodeid.split("::")[0])
+
+
+def pending_of(given: dict[str, dict[str, bool]]) -> int:
+    """How many tests a process still has; asked after each test, it forgets the files that are done."""
+    for unit in [unit for unit, done in given.items() if all(done.values())]:
+        del given[unit]
+    return sum(list(done.values()).count(False) for done in given.values())
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -196,7 +196,7 @@ def thyroid_experiment(
 
     Examples
     --------
-    >>> report = thyroid_experiment(1, cases=["per_second"], days=0.5, workers=1)
+    >>> report = thyroid_experiment(1, cases=["per_second"], days=0.25, workers=1)
     >>> report.runs, report.failures
     (1, 0)
     """

@@ -106,7 +106,7 @@ def test_design_prints_the_defaults_it_used(shell):
     assert result.code == 0
     for word in ("window", "period", "samples", "spacing"):
         assert f"{word} not given:" in result.err
-    assert shell("design", plant("oscillator"), "--branches", 0, "--quiet").err == ""
+    assert shell("design", plant("oscillator"), "--window", 4, "--samples", 2, "--branches", 0, "--quiet").err == ""
 
 
 @pytest.mark.long
@@ -151,9 +151,11 @@ def test_a_calendar_needs_a_folder(shell):
 
 def test_flags_override_the_file(shell):
     data = json.loads(
-        shell("design", plant("oscillator"), REQUIREMENTS / "oscillator.toml", "--samples", 5, "--json").out
+        shell(
+            "design", plant("oscillator"), REQUIREMENTS / "oscillator.toml", "--samples", 3, "--branches", 0, "--json"
+        ).out
     )
-    assert data["requirement"]["samples"] == {"exactly": 5}
+    assert data["requirement"]["samples"] == {"exactly": 3}
 
 
 def test_design_of_a_decaying_plant_names_the_decay_rate(shell, tmp_path):

@@ -85,7 +85,7 @@ def test_no_command_was_forgotten():
     assert set(app.COMMANDS) == {*COMMANDS, "thyroid", "new", "explore"}  # looked at in files of their own
 
 
-ALONE = ["sigma", "accuracy --w 0.1 --v 0.1", "validate --runs 1", "certify"]
+ALONE = ["sigma", "accuracy --w 0.1 --v 0.1", "validate --runs 1 --duration 30", "certify"]
 
 
 def test_no_command_of_a_schedule_refuses_a_plan_alone():

@@ -173,12 +173,12 @@ SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]])
 BOUNDED = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 2.0}
 
 
-def limited_run(seed, changed=lambda mhe: mhe):
+def limited_run(seed, changed=lambda mhe: mhe, samples=12):
     """A run in which half of the readings are limits of detection: truth and estimates."""
     rng = np.random.default_rng(seed)
     mhe = changed(sd.MovingHorizonEstimator(SPRING, horizon=6.0, cost=sd.CostFunction(eta=0.2), **BOUNDED))
     x, now, truth, found = rng.uniform(-1, 1, 2), 0.0, [], []
-    for t in np.cumsum(rng.uniform(0.4, 1.5, 12)):
+    for t in np.cumsum(rng.uniform(0.4, 1.5, 12))[:samples]:
         w = rng.uniform(-0.07, 0.07, 2)
         x = SPRING.transition(t - now) @ x + sum(
             SPRING.transition(s) @ w * (t - now) / 40 for s in (np.arange(40) + 0.5) * (t - now) / 40
@@ -199,9 +199,9 @@ def test_limits_constrain_the_moving_horizon_estimate_which_still_holds_the_trut
         assert estimate.certified
         assert estimate.holds(x)
     if seed:
-        return  # the reference is slow: once
-    bounded = limited_run(seed, by_the_reference)[1]
-    for one, other in zip(found, bounded, strict=True):
+        return  # the reference is slow: once, and until windows have slid
+    bounded = limited_run(seed, by_the_reference, 8)[1]
+    for one, other in zip(found[:8], bounded, strict=True):
         assert np.allclose(one.x, other.x, atol=2e-5)
 
 

@@ -45,7 +45,7 @@ def asked(name, error, unit=1.0):
 @pytest.fixture(scope="module")
 def plans():
     """Sought with a budget: the growing one ends by itself, and the others at what they have soon."""
-    return {name: sd.plan_samples(*asked(name, None), search_seconds=0.3, **BARE) for name in PLANTS}
+    return {name: sd.plan_samples(*asked(name, None), search_seconds=0.2, **BARE) for name in PLANTS}
 
 
 def started(plan, name, error):

@@ -62,7 +62,7 @@ def far_off(seed):
     return said, least_sigma(Windows(plant.A, plant.C, schedule.times, schedule.period, window + 2 * far, far))[0]
 
 
-@pytest.mark.parametrize("seeds", few([range(12), range(12, 60), range(60, 100)], 0))
+@pytest.mark.parametrize("seeds", few([range(6, 12), [*range(6), *range(12, 60)], range(60, 100)], 0))
 def test_of_samples_that_are_far_off_most_of_what_they_leave_is_proven(seeds):
     count, below, unseen, near, median = shares(map(far_off, seeds))
     assert below == 0
@@ -129,7 +129,7 @@ def over_a_box(seed):
         )
 
 
-@pytest.mark.parametrize("seeds", few([[3, 7], [0, 1, 4, 6, 9, 10, 12], [13, 15, 16, 18, 20]], 0))
+@pytest.mark.parametrize("seeds", few([[3], [0, 1, 4, 6, 7, 9, 10, 12], [13, 15, 16, 18, 20]], 0))
 def test_so_it_is_for_every_plant_of_a_box(seeds):
     count, below, unseen, near, median = shares(pair for seed in seeds for pair in over_a_box(seed))
     assert count >= 3

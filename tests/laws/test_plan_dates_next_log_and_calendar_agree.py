@@ -165,12 +165,12 @@ def above(times):
 
 @pytest.mark.parametrize("seed", few(range(3), 1))
 def test_whatever_days_are_closed_no_more_is_claimed_than_the_real_gaps_allow(seed):
-    """Eight days drawn at random from five weeks, some of them side by side."""
+    """Five days drawn at random from three weeks, some of them side by side."""
     rng = np.random.default_rng(seed)
-    days = np.sort(rng.choice(np.arange(10, 45), 8, replace=False))
+    days = np.sort(rng.choice(np.arange(10, 31), 5, replace=False))
     closed = [(datetime(2028, 1, 3) + timedelta(days=int(day))).date().isoformat() for day in days]
     plan = watched("Europe/Berlin", GAP, (MONDAY, WEDNESDAY, FRIDAY, SUNDAY), holidays=closed)
-    dates = plan_dates(plan, 8)
+    dates = plan_dates(plan, 6)
     times = np.array([entry.time for entry in dates.entries])
     assert all(is_open(entry.date, closed) for entry in dates.entries)
     attained = (V + W * float(np.diff(times).max())) / (V + W * GAP)

@@ -39,7 +39,7 @@ def test_scan_stays_above_the_bound_and_reaches_the_other(seed, endless):
             return
         ends = window, float(schedule.times[-1])
     result = window_sigma(plant, schedule, window)
-    least, _, _ = scan_windows(plant.A, plant.C, held.times, held.outputs, window, *ends, points=60)
+    least, _, _ = scan_windows(plant.A, plant.C, held.times, held.outputs, window, *ends, points=40)
     assert result.closed
     assert result.lower <= least * (1 + 1e-9) + 1e-13
     assert 0.99 * result.upper <= least + 1e-13

@@ -15,7 +15,7 @@ from sampling_design.nonlinear.thyroid import NOISE_BOUND, PRIOR_START, SCALING,
 
 @pytest.fixture(scope="module")
 def five_days():
-    return patient_run("per_day", 1, days=5.0)
+    return patient_run("per_day", 1, days=3.5)
 
 
 @pytest.fixture(scope="module")

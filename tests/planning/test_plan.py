@@ -208,7 +208,7 @@ def test_what_nobody_can_afford_is_refused():
 
 
 def test_spacing_and_limits_are_kept():
-    wanted = sd.PlanRequirement({"velocity": 1.0}, samples=3, spacing=1.5, **GIVEN)
+    wanted = sd.PlanRequirement({"velocity": 1.0}, samples=3, spacing=1.5, **{**GIVEN, "grid": 0.4})
     found = sd.plan_samples(OSCILLATOR, wanted, **BARE)
     assert len(found.schedule) <= 3
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9

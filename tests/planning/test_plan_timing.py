@@ -34,6 +34,12 @@ def plan():
     return made(0.1, timing_tolerance=0.1, initial_error=0.5)
 
 
+@pytest.fixture(scope="module")
+def proven():
+    """One that nothing was sought for."""
+    return held(0.1)
+
+
 @pytest.mark.long
 def test_no_real_times_break_a_tolerance(plan):
     assert plan.keeps
@@ -61,10 +67,10 @@ def test_samples_on_time_alone_would_not_be_enough(plan):
     assert late.lower[0] > 0.54  # the witness is at real times
 
 
-def test_its_file_says_the_same(plan, tmp_path):
-    found = sd.read_plan(plan.save(tmp_path / "plan.json"))
+def test_its_file_says_the_same(proven, tmp_path):
+    found = sd.read_plan(proven.save(tmp_path / "plan.json"))
     assert found.requirement.timing_tolerance == 0.1
-    assert np.allclose(found.reached, plan.reached, rtol=1e-6)
+    assert np.allclose(found.reached, proven.reached, rtol=1e-6)
     assert found.verify()
     assert not replace(found, requirement=found.requirement.replace(timing_tolerance=0.21)).verify()
 
@@ -101,21 +107,21 @@ def test_the_start_and_a_lost_sample_hold_at_all_real_times(plan):
     assert worst > 1.05  # what the lost one leaves is more
 
 
-def test_noise_that_is_not_found_is_said(plan, monkeypatch):
+def test_noise_that_is_not_found_is_said(proven, monkeypatch):
     monkeypatch.setattr(sequence_system, "TURNS", 1)
     with pytest.raises(
         UndecidedError, match=r"nothing bounds what samples up to 0\.1 s early or late do where they are"
     ):
-        sequence_system.sequence_system(plan, without(plan, 1, 1))
-    assert np.isinf(proven_ratio(plan, without(plan, 1, 1)))
+        sequence_system.sequence_system(proven, without(proven, 1, 1))
+    assert np.isinf(proven_ratio(proven, without(proven, 1, 1)))
 
 
-def test_the_noise_of_a_sequence_is_counted_as_work(plan, monkeypatch):
+def test_the_noise_of_a_sequence_is_counted_as_work(proven, monkeypatch):
     work = Budget(0.05, counted=True)
     work.firm = True
-    monkeypatch.setattr(plan.oracle, "work", work)
+    monkeypatch.setattr(proven.oracle, "work", work)
     with pytest.raises(BudgetSpentError, match="it does not fit into what is left"):
-        sequence_system.sequence_system(plan, without(plan, 1, 1))
+        sequence_system.sequence_system(proven, without(proven, 1, 1))
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ from sampling_design.validation.study import CHOSEN_HERE, SCENARIOS
 from tests.cases import few
 from tests.validation.plants import FINITE, PLANTS, SCHEDULES, certificate
 
-SHORT = {"runs": 8, "duration": 12.0}
+SHORT = {"runs": 4, "duration": 12.0}
 
 
 def judged(name, **options):

@@ -262,7 +262,7 @@ class WindowedEstimator(OnlineEstimator):
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self.loop.between(state, node.t, s)
         x, Y, beta = self.loop.propagated(node, flow, drift)
-        if math.isfinite(x.dot(x)) and math.isfinite(np.vdot(Y, Y)):
+        if math.isfinite(x.dot(x) + np.vdot(Y, Y)):
             return x, Y, beta
         self.loop.refuse_overflow(flow, s, x)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
@@ -293,7 +293,9 @@ class WindowedEstimator(OnlineEstimator):
             node = nodes[first]
             own = node.flow if first > 0 and nodes[first - 1].t == s else None
             gap = self.loop.between(state, s, node.t) if own is None else (own, node.drift)
-            reference = new.flow.F.dot(nodes[-1].x) + new.drift
+            reference = new.flow.F.dot(nodes[-1].x)
+            if new.drift is not self.table.no_drift:
+                reference += new.drift
         if not sliding.append(new, reference, predicted=first < len(nodes)):
             return None
         self._histories.begun(sliding)

@@ -150,9 +150,10 @@ def _behind_a_door(
     function: Callable[..., object], chosen: Callable[[object], Callable[..., object]] | None = None
 ) -> Callable[..., object]:
     """The door; `chosen` says who does it for the plant that came as the first argument."""
-    enter = _arguments(function, chosen is not None)
+    is_open = chosen is not None
+    enter = _arguments(function, is_open)
 
-    def does(given: Sequence[object], named: dict[str, object]) -> Callable[..., object]:
+    def of_its_kind(given: Sequence[object], named: dict[str, object]) -> Callable[..., object]:
         plant = given[0] if given else named.get("plant", _NO)
         if chosen is None or plant is _NO:
             return function
@@ -167,10 +168,10 @@ def _behind_a_door(
     def entered(*arguments: Any, **options: Any) -> object:
         given, named = enter(arguments, options)
         if getattr(inside, "door", False):
-            return does(given, named)(*given, **named)
+            return (of_its_kind(given, named) if is_open else function)(*given, **named)
         inside.door = True
         try:
-            return does(given, named)(*given, **named)
+            return (of_its_kind(given, named) if is_open else function)(*given, **named)
         except failures as error:
             raise worded(function.__name__, error) from error
         except TypeError as error:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from sampling_design.numerics.linalg import SHORT, expm_batch, exponential_terms, gramian_terms
-from sampling_design.records.arrays import Array, Index
+from sampling_design.records.arrays import Array, Index, Mask
 
 BASE = 64  # pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4
 
@@ -36,6 +36,20 @@ def state_units(A: Array, units: Array | None = None) -> Array:
     first = np.ones(A.shape[0]) if units is None else np.asarray(units, dtype=np.float64)
     _, (second, _) = matrix_balance(A * first / first[:, None], permute=False, separate=True)
     return np.asarray(first * second)
+
+
+def _symmetric(W: Array) -> Array:
+    half = W / 2
+    return np.asarray(half + half.transpose(0, 2, 1))
+
+
+def _triangle(n: int) -> tuple[Mask, Index]:
+    """What of [F, E, W], one row after the other, is not above the diagonal of W; and where what is there stands."""
+    row, column = np.divmod(np.arange(3 * n * n), 3 * n)
+    below = column - 2 * n <= row
+    place = np.cumsum(below) - 1
+    mirrored = np.where(below, np.arange(3 * n * n), (column - 2 * n) * 3 * n + row + 2 * n)
+    return below, place[mirrored].reshape(n, 3 * n)
 
 
 class ComposedFlow:
@@ -64,30 +78,31 @@ class ComposedFlow:
         self._powers, self._terms = np.arange(float(len(terms))), terms.reshape(len(terms), -1)
         self._shifted, self._exponential, self._rest = shifted, powers, terms[:, :, n:]
         self._levels: list[Array] = []
-        self._around: dict[int, Array] = {}
+        self._around: dict[int, Array] = {}  # of pieces, without what is above the diagonal of W
+        below, self._whole = _triangle(n)
+        self._kept = np.flatnonzero(below)
 
     def over(self, gaps: Sequence[float]) -> tuple[Array, Array, Array]:
         """Return F, E and W for every gap, each (N, n, n)."""
         n = self._n
         if 0 < len(gaps) <= FEW and n <= SMALL and max(gaps) < BASE * self._unit:
             flow = self._near(gaps)
-        else:
-            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite: its users look
-                flow = self._far(np.array(gaps, dtype=np.float64))
-        half = flow[:, :, 2 * n :] / 2
-        return flow[:, :, :n], flow[:, :, n : 2 * n], half + half.transpose(0, 2, 1)
+            return flow[:, :, :n], flow[:, :, n : 2 * n], flow[:, :, 2 * n :]
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite: its users look
+            flow = self._far(np.array(gaps, dtype=np.float64))
+        return flow[:, :, :n], flow[:, :, n : 2 * n], _symmetric(flow[:, :, 2 * n :])
 
     def _near(self, gaps: Sequence[float]) -> Array:
         """Flows over a few gaps of one level, each from the polynomial around its piece."""
         unit, norm, powers, around = self._unit, self._norm, self._powers, self._around
-        flow = np.empty((len(gaps), self._n, 3 * self._n))
-        for row, h in zip(flow.reshape(len(gaps), -1), gaps, strict=True):
+        flow = np.empty((len(gaps), len(self._kept)))
+        for row, h in zip(flow, gaps, strict=True):
             digit = int(h // unit)
             terms = around.get(digit)
             if terms is None:
                 terms = around[digit] = self._expanded(digit)
             (((h - digit * unit) * norm) ** powers).dot(terms, row)
-        return flow
+        return flow.take(self._whole, 1)
 
     def _expanded(self, digit: int) -> Array:
         """Coefficients of the flow over `digit` units and r more, by powers of |A| r; in the states' own units."""
@@ -102,7 +117,8 @@ class ComposedFlow:
             current = (moved + moved.T) / (norm * (k + 1))
         terms[1:, :, n:] += self._rest[:-1] / norm
         terms *= self._moved
-        return terms.reshape(len(terms), -1)
+        terms[:, :, 2 * n :] = _symmetric(terms[:, :, 2 * n :])
+        return terms.reshape(len(terms), -1)[:, self._kept]
 
     def _far(self, h: Array) -> Array:
         """Flows over any gaps, pieces of all levels put together."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -23,11 +23,17 @@ CONDITION_LIMIT = 1e6
 CACHE_SIZE = 4096
 """Gap lengths that are kept; a few kilobytes each, so that memory stays flat on endless irregular data."""
 
+_cholesky, _inverse = lapack.dpotrf, lapack.dtrtri
+
 LONGEST = 700.0  # exponents from here on count as overflows: e^709 is the largest double
 
 
 COVARIANCE_ERROR = 2e-14
 """Relative error of a W in units of its diagonal: its inverse is off by as much times its condition."""
+
+
+_BothEnds = tuple[Array | None, float, Array | None]  # `joint`, `loose` and `band` of a gap
+_NO_ENDS: _BothEnds = (None, 0.0, None)
 
 
 class GapFlow:
@@ -54,6 +60,8 @@ class GapFlow:
         W without discount, where a prediction has asked for it.
     """
 
+    __slots__ = ("F", "W", "_arrival", "_ends", "_roots", "_size", "gap", "growth", "inputs", "integral", "undiscounted")
+
     def __init__(
         self,
         gap: float,
@@ -66,54 +74,64 @@ class GapFlow:
     ):
         self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
         self.undiscounted: Array | None = None
+        self._size: Array | None = None
         self._arrival: tuple[Array, tuple[Array, Array] | None] | None = None
-        if roots is not None:
-            self.__dict__.update(_roots=roots, _ends=(None, 0.0, None))
+        self._roots = roots
+        self._ends: _BothEnds | None = None if roots is None else _NO_ENDS
 
-    @cached_property
+    @property
     def size(self) -> Array:
         """Return |F|, entry by entry."""
-        return abs(self.F)
+        if self._size is None:
+            self._size = abs(self.F)
+        return self._size
 
     @property
     def root(self) -> Array:
         """Return a root of W."""
-        return self._roots[0]
+        return (self._roots or self._noise_roots())[0]
 
     @property
     def whiten(self) -> Array:
         """Return its pseudo-inverse."""
-        return self._roots[1]
+        return (self._roots or self._noise_roots())[1]
 
-    @cached_property
-    def _roots(self) -> tuple[Array, Array]:
-        return noise_root(self.W)
+    def _noise_roots(self) -> tuple[Array, Array]:
+        self._roots = found = noise_root(self.W)
+        return found
 
     @property
     def joint(self) -> Array | None:
         """Return what states at both ends cost together."""
-        return self._ends[0]
+        return (self._ends or self._looked_at())[0]
 
     @property
     def loose(self) -> float:
         """Return how far `joint` may be off, relative, as a quadratic form; 0 where there is none."""
-        return self._ends[1]
+        return (self._ends or self._looked_at())[1]
 
     @property
     def band(self) -> Array:
         """Return its lower triangle, where it is known."""
-        band = self._ends[2]
+        band = (self._ends or self._looked_at())[2]
         assert band is not None
         return band
 
-    @cached_property
-    def _ends(self) -> tuple[Array | None, float, Array | None]:
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is not inverted
-            return _joint(self.F, self.W)
+    def weighed(self) -> bool:
+        """Find what states at both ends cost together; whether it can be had. Overflows are not inverted, but told."""
+        if self._ends is None:
+            self._ends = _joint(self.F, self.W)
+        return self._ends is not _NO_ENDS
+
+    def _looked_at(self) -> _BothEnds:
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.weighed()
+        assert self._ends is not None
+        return self._ends
 
     def known(self, joint: Array, loose: float, band: Array) -> None:
         """Take what was found of many gaps at once."""
-        self.__dict__.update(_ends=(joint, loose, band))
+        self._ends = joint, loose, band
 
     def arrived(self, Y: Array, found: tuple[Array, Array]) -> None:
         """Take what a prior was found to be worth."""
@@ -189,10 +207,12 @@ class FlowTable:
 
     def known(self, gaps: Sequence[float]) -> None:
         """See to it that the flows of some gaps are known, in one batch."""
-        for gap in gaps:
-            if gap not in self._table:
-                self.get(gaps)
-                return
+        table = self._table
+        missing = [gap for gap in dict.fromkeys(gaps) if gap not in table]
+        if missing:
+            self._fill(missing)
+            while len(table) > CACHE_SIZE:
+                table.popitem(last=False)
 
     def prepare(self, gaps: Sequence[float], arrivals: Sequence[float], Y: Array) -> None:
         """Find, each in one batch, `joint` of the flows of some gaps, and `arrival` of a prior Y after others.
@@ -225,9 +245,8 @@ class FlowTable:
                 found = self._constant_roots(integral, gaps)
                 W = np.array([root @ root.T for root, _ in found])
             roots = list(found)
-        for gap, transition, noise, passed, forced, root in zip(gaps, F, W, integral, inputs, roots, strict=True):
-            growth = math.exp(eta * gap) if eta * gap < LONGEST else math.inf
-            table[gap] = GapFlow(gap, growth, transition, noise, passed, forced, root)
+        for gap, *parts in zip(gaps, F, W, integral, inputs, roots, strict=True):
+            table[gap] = GapFlow(gap, math.exp(eta * gap) if eta * gap < LONGEST else math.inf, *parts)
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
         """Roots of the noise that is constant over each gap and their pseudo-inverses; NaN where they overflowed.
@@ -275,23 +294,23 @@ def noise_root(W: Array) -> tuple[Array, Array]:
     return root, vectors.T * np.where(kept, 1 / scale, 0.0)[:, None] / unit
 
 
-def _half(M: Array) -> tuple[Array, float] | None:
-    """Return L^-1 for Cholesky's factor L of M, and the trace of the inverse of M's correlations.
+def _half(M: Array) -> Array | None:
+    """Return L^-1 for Cholesky's factor L of M, None where M is not positive definite."""
+    factor, flag = _cholesky(M, 1)  # lower; by name it takes twice as long
+    return None if flag else _inverse(factor, 1)[0]
 
-    None where its inverse would lose six digits or more. The trace is the condition in units of the diagonal but for a
-    factor of n^2; units change no digit.
+
+def _condition(M: Array, inverse: Array) -> float:
+    """Return the trace of the inverse of M's correlations, which is NaN or infinite where something overflowed.
+
+    It is the condition in units of the diagonal but for a factor of n^2; units change no digit. The inverse of an M of
+    which it exceeds `CONDITION_LIMIT` has lost six digits or more.
     """
-    factor, flag = lapack.dpotrf(M, 1)  # lower; by name it takes twice as long
-    if flag:
-        return None
-    half = lapack.dtrtri(factor, 1)[0]
-    unit = half * np.sqrt(M.diagonal())
-    condition = float(np.vdot(unit, unit))
-    return (half, condition) if condition <= CONDITION_LIMIT else None  # neither where something overflowed
+    return float(M.diagonal().dot(inverse.diagonal()))
 
 
 def _halves(M: Array) -> tuple[Array, Array, Mask]:
-    """L^-1 and the condition as `_half` finds them, of many matrices, and which of them keep their digits."""
+    """L^-1 and the condition of many matrices, and which of them keep their digits."""
     n = M.shape[1]
     try:
         L = np.linalg.cholesky(M)
@@ -336,27 +355,26 @@ def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
         flows[k].arrived(Y, (information[k], bands[k, 0]))
 
 
-def _joint(F: Array, W: Array) -> tuple[Array | None, float, Array | None]:
+def _joint(F: Array, W: Array) -> _BothEnds:
     """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], how far it may be off, and its lower band.
 
     None where it would lose six digits.
     """
-    found = _half(W)
-    if found is None:
-        return None, 0.0, None
-    half, condition = found
+    half, n = _half(W), len(F)
+    if half is None:
+        return _NO_ENDS
     both = np.concatenate((half.dot(F), -half), axis=1)
     joint = both.T.dot(both)
-    if not math.isfinite(np.vdot(both, both)):  # its trace
-        return None, 0.0, None
-    return joint, COVARIANCE_ERROR * condition, lower_band(joint, len(F))
+    condition, diagonal = _condition(W, joint[n:, n:]), joint.diagonal()
+    if not (condition <= CONDITION_LIMIT and math.isfinite(sum(diagonal.tolist()))):
+        return _NO_ENDS
+    return joint, COVARIANCE_ERROR * condition, lower_band(joint, n)
 
 
 def _information_of(M: Array) -> tuple[Array, Array] | None:
     """Return the inverse of a covariance, in both forms."""
-    found = _half(M)
-    if found is None:
+    half = _half(M)
+    if half is None:
         return None
-    half = found[0]
     information = half.T.dot(half)
-    return information, lower_band(information, len(M))[0]
+    return (information, lower_band(information, len(M))[0]) if _condition(M, information) <= CONDITION_LIMIT else None

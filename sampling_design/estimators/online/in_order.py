@@ -226,10 +226,10 @@ class OnlineEstimator(Displayable, ABC):
 
     def _check_y(self, value: object, t: float, limited: bool) -> Array:
         try:
-            given = np.asarray(value)
+            given = value if type(value) is np.ndarray else np.asarray(value)
             if given.dtype.kind in "cUSO" and any(isinstance(each, (str, bytes, complex)) for each in given.flat):
                 raise TypeError
-            y = np.array(given, dtype=np.float64, ndmin=1)
+            y = np.array(given, np.float64, ndmin=1)
         except (TypeError, ValueError):
             limit = " A limit of detection is BelowDetection(0.5) or AboveRange(8)." if _has_limit(value) else ""
             raise ArgumentError(f"`y` must hold numbers, got {checks.described(value)} at t = {t!r}.{limit}") from None

@@ -70,13 +70,12 @@ def held_entries(Y: Array, size: Array, bound: float) -> tuple[Array, Array, flo
     With D = diag(d) and |r|^2_D^-1 <= more, |z + r|^2 in the inverse of Y + D is at most bound + more: a decay that
     makes an entry of Y vanish does not make its state known beyond its digits.
     """
-    rounded = ROUNDED * size
-    with np.errstate(over="ignore", invalid="ignore"):
-        lost = np.flatnonzero(bound * Y.diagonal() < rounded * rounded)
-    if not lost.size or not (math.isfinite(bound) and np.isfinite(Y).all()):
+    entries = enumerate(zip(Y.diagonal().tolist(), size.tolist(), strict=True))
+    lost = [i for i, (variance, held) in entries if bound * variance < (ROUNDED * held) * (ROUNDED * held)]
+    if not lost or not (math.isfinite(bound) and np.isfinite(Y).all()):
         return Y, size, bound
     more, Y, size = SHARE_HELD * (bound if bound > 0 else 1.0), Y.copy(), size.copy()
-    Y[lost, lost] += lost.size * rounded[lost] ** 2 / more
+    Y[lost, lost] += len(lost) * (ROUNDED * size[lost]) ** 2 / more
     size[lost] = 0.0
     return Y, size, bound + more
 

@@ -33,6 +33,8 @@ WIDEST = 300.0
 """Exponent of the discount over a window from which on it is not remembered: its start has no weight then."""
 
 HISTORIES = 64  # histories of one estimator that are remembered side by side
+_substituted = lapack.dtbtrs
+
 ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
 CANCELLED = 1e-4  # share of the reference's cost below which the least cost is not found as a difference from it
 
@@ -79,11 +81,11 @@ class WindowGains(NamedTuple):
 
     def applied(self, right: Array, end: float, whole: bool) -> tuple[Array, float]:
         """Return the last node's deviation, or those of the `whole` window, and what they gain, at its discount."""
-        half = lapack.dtbtrs(self.factor, right.reshape(-1, 1), "L")[0]
-        scale, gain = self.end / end, float(half.ravel().dot(half.ravel()))
+        half = _substituted(self.factor, right.reshape(-1, 1), "L")[0].ravel()
+        scale, gain = self.end / end, float(half.dot(half))
         if whole:
-            return lapack.dtbtrs(self.factor, half, "L", "T")[0].ravel() * scale, gain * scale
-        return self.root.T.dot(half.ravel()[-len(self.root) :] * scale), gain * scale
+            return _substituted(self.factor, half[:, None], "L", "T")[0].ravel() * scale, gain * scale
+        return self.root.T.dot(half[-len(self.root) :] * scale), gain * scale
 
 
 class OptimalTrajectory(NamedTuple):
@@ -139,7 +141,7 @@ class SlidingBand:
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
         self._outputs: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
         self._zero, self._cancelling, self._untouched = 0.0, False, False
-        self._banded = 0  # so many nodes have their columns
+        self._banded = self._listed = 0  # so many nodes have their columns; so many have their rows in `_measured`
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
         # of so many nodes, and what they came with
         self._gains: tuple[int, tuple[object, ...], WindowGains] | None = None
@@ -191,7 +193,7 @@ class SlidingBand:
         kind, flow = self.output_information(new.mask), new.flow
         if not k:
             self._zero = new.t
-        elif flow is None or flow.joint is None:
+        elif flow is None or not flow.weighed():
             return False
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
@@ -204,7 +206,6 @@ class SlidingBand:
         weighed = self._weighed(k, d)
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
         self._pull_before[k] = self._missed[k] = 0.0
-        self._measured[k] = new.y, new.mask, new.feedthrough
         self._predicted = None
         if not predicted:
             self._untouched = False
@@ -283,7 +284,7 @@ class SlidingBand:
         for part in self._parts:
             rows = kept + (part is self._places)
             part[:rows] = part[count : count + rows].copy()
-        self._banded = max(self._banded - count, 0)
+        self._banded, self._listed = max(self._banded - count, 0), max(self._listed - count, 0)
         del self.nodes[:count], self._known[:count], self._reference[:count], self._outputs[:count]
 
     def _columns(self, rows: slice) -> Array:
@@ -344,17 +345,15 @@ class SlidingBand:
         kept = float(held.dot(held))
         size += fit + gaps + float(moved.dot(g))
         gains = self._gains_of_last_window(count - first, flow, Y)
-        if gains is not None:
-            deviation, gain = gains.applied(right, end, whole)
-        else:
+        if gains is None:
             work = self._columns(rows)
             np.add(self._own[first], band * d, work[0])
-            solved = _solved(work, right.ravel(), end)
-            if solved is None:
+            gains = _factored(work, end)
+            if gains is None:
                 return None
-            deviation, gain, gains = solved
             alike = self._alike >= count - first
             self._gains = (count - first, self._with(flow, Y), gains) if alike else None
+        deviation, gain = gains.applied(right, end, whole)
         if not math.isfinite(gain + size):
             return None
         cost = size - gain
@@ -393,7 +392,12 @@ class SlidingBand:
 
     def samples(self, first: int, initial: InitialNode) -> tuple[Array, Array, Array]:
         """Return y - D u, the masks and D u at the samples from node `first` on, that at the window's start first."""
-        rows = self._measured[first : len(self._known)]
+        measured, count = self._measured, len(self._known)
+        for k in range(self._listed, count):
+            new = self._known[k]
+            measured[k] = new.y, new.mask, new.feedthrough
+        self._listed = count
+        rows = measured[first:count]
         if (node := initial.node) is not None:
             rows = np.concatenate([np.array([[node.y, node.mask, node.feedthrough]]), rows])
         y, masks, feedthrough = rows.transpose(1, 0, 2)
@@ -465,15 +469,15 @@ class BandCache:
                 self._known.popitem(last=False)
 
 
-def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, WindowGains] | None:
-    """Return the nodes' deviations, what they gain, and what does not depend on the data.
+def _factored(work: Array, end: float) -> WindowGains | None:
+    """Return what does not depend on the data; `end` is the discount of the newest node.
 
-    `end` is the discount of the newest node. None where digits would be lost.
+    None where digits would be lost.
     """
     count, n, width = work.shape
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
-    factor, solution, flag = lapack.dpbsv(band, right, lower=1, overwrite_ab=1)
+    factor, flag = lapack.dpbtrf(band, 1, overwrite_ab=1)
     if flag:
         return None
     pivots = factor[0]
@@ -484,5 +488,4 @@ def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Window
     last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
     root = lapack.dtrtri(last, 1)[0]
     Y = (root.T * end).dot(root)
-    gains = WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))
-    return solution, float(right.dot(solution)), gains
+    return WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))

@@ -58,6 +58,8 @@ def test_agrees_with_sixty_digits(name, eta):
         for one, alone, other in zip(matrices, flow.over([h]), exact(A, noise(len(A)), eta, h), strict=True):
             assert off(one, other) < 5e-14
             assert off(alone[0], other) < 5e-14
+        for W in (matrices[2], flow.over([h])[2][0]):
+            np.testing.assert_array_equal(W, W.T)
 
 
 @pytest.mark.parametrize("rate", [1e-1, 1e4, 1e8])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.estimators.constraints.constraints import Constraints
+from sampling_design.estimators.constraints.constraints import Constraints, WindowConstraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
@@ -183,6 +183,29 @@ def test_in_any_units(seed):
     mhe.run(moved)
     assert mhe.slid > 30
     assert mhe.worst < SAME
+
+
+def test_what_was_read_stands_in_every_window(monkeypatch):
+    """Readings are put down when constraints first ask for them, whichever nodes were dropped meanwhile."""
+    plant, _, given = CASES["lost outputs"]
+    rows, asked, turn = record(plant, 90, lost=0.6), [], [0]
+    held = WindowConstraints.hold
+
+    def hold(self, path, samples):
+        turn[0] += 1
+        asked[:] = [] if turn[0] % 7 else [samples()]
+        return held(self, path, lambda: asked[0]) if asked else True
+
+    monkeypatch.setattr(WindowConstraints, "hold", hold)
+    mhe = MovingHorizonEstimator(plant, constraints=Constraints(v=(-1e4, 1e4)), **settings(plant, given))
+    for k, row in enumerate(rows):
+        asked.clear()
+        mhe.update(*row)
+        if asked:
+            y, masks, _ = asked[0]
+            expected = np.array([each for _, each, _ in rows[k + 1 - len(y) : k + 1]])
+            np.testing.assert_array_equal(np.where(masks > 0, y, np.nan), expected)
+    assert turn[0] > 80
 
 
 LOST = (18, 19, 31, 44)

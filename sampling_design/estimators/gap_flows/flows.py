@@ -60,7 +60,10 @@ class GapFlow:
         W without discount, where a prediction has asked for it.
     """
 
-    __slots__ = ("F", "W", "_arrival", "_ends", "_roots", "_size", "gap", "growth", "inputs", "integral", "undiscounted")
+    __slots__ = (
+        *("gap", "growth", "F", "W", "integral", "inputs", "undiscounted"),
+        *("_size", "_arrival", "_roots", "_ends"),
+    )
 
     def __init__(
         self,

@@ -68,7 +68,13 @@ WHOLE = (
 """Where searches are whole: where they are judged, and where figures of the documentation are."""
 SHARED = (
     ("tests/planning/",),
-    ("tests/laws/test_no_raw_exception", "tests/laws/test_a_budget_binds", "tests/records/test_signatures"),
+    (
+        "tests/laws/test_no_raw_exception",
+        "tests/laws/test_a_budget_binds",
+        "tests/laws/test_every_result",
+        "tests/records/test_signatures",
+        "tests/records/test_frames",
+    ),
 )
 """Files that one process runs: the week's plan of one room, and one object of each kind, take seconds to be made."""
 gc.set_threshold(1_000_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth

@@ -75,7 +75,7 @@ def things() -> dict[str, Any]:
     cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1), eta=0.2)
     box = ([-1.0, -1.0], [1.0, 1.0])
     evidence = sd.nonlinear.check_detectability(
-        nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, dt=0.1, pairs=2
+        nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=1.5, dt=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=1.6, w_bound=0.02, sensors=terms)
@@ -108,7 +108,7 @@ def things() -> dict[str, Any]:
         "robustness": sd.robustness(plant, certificate, longest=2, budget=0.2),
         "horizons": sd.certificates.four_horizons(plant, schedule, certificate),
         "proof": sd.certificates.constants_from_proof(plant, schedule),
-        "tradeoff": sd.certificates.tradeoff_curve(plant, schedule, 0.4, [2.0]),
+        "tradeoff": sd.certificates.tradeoff_curve(plant, schedule, 0.4, [2.0, 8.0]),
         "curve": sd.certificates.information_curve(certificate),
         "report": sd.validate(plant, schedule, certificate, runs=2, duration=4.0, scenarios=["random"]),
         "log": sd.compare_schedule(plant, schedule, [0.7, 2.4], 4.0),

@@ -282,7 +282,7 @@ def test_a_timing_tolerance_is_the_family_of_all_such_times():
 
 
 def test_rows_of_a_long_schedule_are_kept_without_their_zeros(monkeypatch):
-    """Each edge of 60 gaps has rows over the matrices of 60 nodes, and numbers in those of two."""
+    """Each edge of 30 gaps has rows over the matrices of 30 nodes, and numbers in those of two."""
     held = []
 
     def stopped(cost, blocks, budget):
@@ -291,7 +291,7 @@ def test_rows_of_a_long_schedule_are_kept_without_their_zeros(monkeypatch):
 
     monkeypatch.setattr(program, "_solved", stopped)
     plant = Plant(np.kron(np.diag([1.0, 2.0, 3.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0, 1.0, 0.0]])
-    late = sd.Jitter(PeriodicSchedule(np.linspace(0.1, 0.2, 60)), 0.001)
+    late = sd.Jitter(PeriodicSchedule(np.linspace(0.1, 0.2, 30)), 0.001)
     with pytest.raises(UndecidedError, match="that is enough"):
         sd.certify(plant, late, eta=0.1, P2=np.eye(6))
     stored, whole = np.sum(held[0], axis=0)

@@ -22,7 +22,7 @@ ROUNDING = 1e-6
 
 @pytest.mark.parametrize(("plant", "schedule"), few(CASES, 2), ids=["oscillator", "double", "finite", "four states"])
 def test_horizons_fall_along_any_list_of_gains(plant, schedule):
-    budgets = sorted([1.2, 1.5, 2.0, 3.0, 10.0, *np.exp(np.random.default_rng(7).uniform(0.1, 3.0, 3))])
+    budgets = sorted([1.2, 2.0, 3.0, 10.0, *np.exp(np.random.default_rng(7).uniform(0.1, 3.0, 2))])
     found = chosen(plant, schedule, weights_of(plant, None, None, None), 0.4, [float(b) for b in budgets])
     horizons = np.array([made.horizon().minimum for made in found])
     assert np.all(np.diff(horizons) <= ROUNDING * horizons[:-1]), dict(zip(budgets, horizons, strict=True))

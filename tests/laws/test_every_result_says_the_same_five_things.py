@@ -1,6 +1,5 @@
 """What a verb returns says what it is, its evidence, how good it is, how to check and how to draw it, in this order."""
 
-import functools
 import importlib
 import inspect
 import pickle
@@ -22,6 +21,7 @@ from sampling_design.planning.comparison import PlanComparison
 from sampling_design.records.declarations import BOUNDS as ROUNDED
 from sampling_design.records.declarations import PLACE, STEP
 from sampling_design.records.record import ANSWERS, Record
+from tests import front_door
 
 GIVEN = {  # what a user could have made, and what a plant consists of
     "EigenvalueCluster", "FunctionalPlant", "Measurements", "ModalSplit", "NonlinearPlant", "PeriodicSchedule", "Plant",
@@ -35,9 +35,12 @@ BOUNDS = {"w_bound": 0.1, "v_bound": 0.1}
 BOX = sd.UncertainPlant(PLANT, [sd.UncertainParameter("stiffness", 0.0, 0.05, A=[[0.0, 0.0], [-1.0, 0.0]])])
 
 
-@functools.cache
 def certificate():
-    return sd.certify(PLANT, SCHEDULE, eta=0.4, P2=np.eye(2))
+    return front_door.things()["certificate"]
+
+
+def thing(name):
+    return lambda: front_door.things()[name]
 
 
 def record():
@@ -45,15 +48,13 @@ def record():
 
 
 MADE = {
-    "design_schedule": lambda: sd.design_schedule(
-        PLANT, sd.Requirement(window=4.0, spacing=0.5, samples=2), starts=1, branches=0
-    ),
+    "design_schedule": thing("design"),
     "certify": certificate,
-    "certify_detectability": lambda: sd.certificates.certify_detectability(PLANT),
-    "window_sigma": lambda: sd.window_sigma(PLANT, SCHEDULE, 4.0),
-    "worst_case_sigma": lambda: sd.worst_case_sigma(PLANT, sd.SpacedWindows(4.0, 3, 0.5)),
+    "certify_detectability": thing("detectability"),
+    "window_sigma": thing("sigma"),
+    "worst_case_sigma": thing("worst"),
     "worst_case_sigma of a box": lambda: sd.worst_case_sigma(BOX, sd.SpacedWindows(4.0, 3, 0.5), rtol=0.5),
-    "zero_count_bound": lambda: sd.zero_count_bound(PLANT, 4.0),
+    "zero_count_bound": thing("count"),
     "zero_count_bound of a box": lambda: sd.zero_count_bound(BOX, 4.0),
     "certificate_exists": lambda: sd.certificate_exists(PLANT, SCHEDULE, 0.4),
     "guaranteed_accuracy": lambda: sd.guaranteed_accuracy(PLANT, SCHEDULE, rtol=0.2, **BOUNDS),
@@ -65,17 +66,17 @@ MADE = {
     "run": lambda: sd.MovingHorizonEstimator(PLANT, certificate(), initial_error=2.0, **BOUNDS).run(record()),
     "run without bounds": lambda: sd.KalmanFilter(PLANT).run(record()),
     "random_arrivals": lambda: sd.certificates.random_arrivals(certificate(), 0.1),
-    "compare_schedule": lambda: sd.compare_schedule(PLANT, SCHEDULE, [0.7, 2.4], 4.0),
+    "compare_schedule": thing("log"),
     "accuracy_by_count": lambda: sd.accuracy.accuracy_by_count(PLANT, (1, 4), period=4.0, rtol=0.2, **BOUNDS),
     "accuracy_by_count of a budget": lambda: sd.accuracy.accuracy_by_count(
         PLANT, (4,), period=4.0, rtol=1e-9, budget=1e-9, **BOUNDS
     ),
     "accuracy_limit": lambda: sd.accuracy.accuracy_limit(PLANT, **BOUNDS),
     "standard_deviation": lambda: sd.accuracy.standard_deviation(PLANT, SCHEDULE, w_intensity=0.1, v_deviation=0.1),
-    "four_horizons": lambda: sd.certificates.four_horizons(PLANT, SCHEDULE, certificate()),
-    "information_curve": lambda: sd.certificates.information_curve(certificate()),
-    "tradeoff_curve": lambda: sd.certificates.tradeoff_curve(PLANT, SCHEDULE, eta=0.4, noise_gains=(4.0,)),
-    "constants_from_proof": lambda: sd.certificates.constants_from_proof(PLANT, SCHEDULE),
+    "four_horizons": thing("horizons"),
+    "information_curve": thing("curve"),
+    "tradeoff_curve": thing("tradeoff"),
+    "constants_from_proof": thing("proof"),
     "loss_tolerance": lambda: sd.observability.loss_tolerance(PLANT, SCHEDULE),
     "loss_tolerance of growth": lambda: sd.observability.loss_tolerance(
         sd.Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.0]]), sd.PeriodicSchedule([np.pi / 2])
@@ -85,7 +86,7 @@ MADE = {
         sd.MovingHorizonEstimator(PLANT, certificate(), initial_error=2.0, **BOUNDS),
         sd.Measurements(PLANT, [0.7, 2.3], [[0.8], [-0.7]]),
     ),
-    "validate": lambda: sd.validate(PLANT, SCHEDULE, certificate(), runs=1, duration=2.0, scenarios=["random"]),
+    "validate": thing("report"),
 }
 
 

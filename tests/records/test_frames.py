@@ -23,13 +23,12 @@ from sampling_design.accuracy.deviation import standard_deviation
 from sampling_design.accuracy.limit import accuracy_limit
 from sampling_design.accuracy.sample_counts import accuracy_by_count
 from sampling_design.certificates.compare.robustness import FamilyTrial, Robustness
-from sampling_design.certificates.compare.tradeoff import tradeoff_curve
-from sampling_design.certificates.exact.information import information_curve
 from sampling_design.errors import ArgumentError, CallError, FileFormatError, MissingExtraError
 from sampling_design.estimators import estimator_for
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.records.record import CurveRecord, ListRecord, Record, TableRecord
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+from tests import front_door
 
 OSCILLATOR = sd.plants.library.oscillator()
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -73,9 +72,8 @@ def record():
     return sd.simulate_record(OSCILLATOR, SCHEDULE, 5.0, w_bound=0.1, v_bound=0.1, rng=1)
 
 
-@cache
-def design():
-    return sd.design_schedule(OSCILLATOR, REQUIREMENT, starts=1, branches=0)
+def thing(name):
+    return lambda: front_door.things()[name]
 
 
 MAKERS = {
@@ -107,7 +105,7 @@ MAKERS = {
         of=[[1.0], [2.0]],
         rtol=0.5,
     ),
-    "InformationCurve": lambda: information_curve(certificate(), 6.0),
+    "InformationCurve": thing("curve"),
     "ScheduleLog": lambda: sd.compare_schedule(OSCILLATOR, SCHEDULE.between(0, 8), SCHEDULE.between(0, 8).times, 4.0),
     "Robustness": lambda: Robustness(
         certificate(),
@@ -122,20 +120,18 @@ MAKERS = {
         trials=tuple(FamilyTrial(sd.Jitter(SCHEDULE, late), lam, lam < 3) for late, lam in ((0.1, 2.0), (0.2, np.inf))),
         closed=True,
     ),
-    "ValidationReport": lambda: sd.validate(
-        OSCILLATOR, SCHEDULE, certificate(), runs=1, rng=0, duration=3.2, scenarios=("random",), **BOUNDS
-    ),
+    "ValidationReport": thing("report"),
     "Plan": plan,
     "PlanRobustness": lambda: plan().robustness,
     "PlanDates": lambda: plan("2026-03-23").dates(2),
     "PlanComparison": lambda: plan().compare(plan()),
     "EstimateRecord": estimates,
     "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [1, 2], starts=1, branches=0),
-    "SampleLosses": lambda: sd.design.sample_losses(design()),
-    "FourHorizons": lambda: sd.certificates.four_horizons(OSCILLATOR, SCHEDULE, certificate()),
-    "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
+    "SampleLosses": thing("losses"),
+    "FourHorizons": thing("horizons"),
+    "WindowSigma": thing("sigma"),
     "SmoothedWindow": smoothed,
-    "TradeoffCurve": lambda: tradeoff_curve(OSCILLATOR, SCHEDULE, 0.2, [3.0, 30.0]),
+    "TradeoffCurve": thing("tradeoff"),
 }
 
 

@@ -230,10 +230,16 @@ class MovingHorizonEstimator(WindowedEstimator):
         0.120000 0.120000 0.400000
         """
         nodes = self.state.nodes
-        when = nodes[-1].t if t is None else checks.number("t", t)
+        held = [node.t for node in nodes if node.sample.y is not None and node.t >= nodes[-1].t - self.horizon]
+        if not held:
+            raise ArgumentError("`problem` is of a sample of the last horizon, and there is none: `update` takes one.")
+        when = held[-1] if t is None else checks.number("t", t)
+        if when not in held:
+            near = min(held, key=lambda time: abs(time - when))
+            raise ArgumentError(
+                f"`t` must be the time of a sample of the last horizon, got {when!r}: the nearest is {near!r}."
+            )
         at = self.state.node_before(when)
-        if at < 0 or nodes[at].t != when or nodes[at].sample.y is None or when < nodes[-1].t - self.horizon:
-            raise ArgumentError(f"`t` must be the time of a sample of the last horizon, got {when!r}.")
         state = EstimatorState(nodes[:at], self.state.inputs)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, when)

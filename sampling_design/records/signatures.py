@@ -359,18 +359,24 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
             return of_file(name, value)  # type: ignore[arg-type]
         for _, take in kinds:
             taken = take(name, value)
-            if taken is not _NO:
+            if taken is not _NO and not lacking(value):
                 return taken
         seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
         likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
         raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely or lacking(value)}")
 
+    asked = [kind for kind in _classes(hint) if kind is not type(None)]
+    alone = vars(asked[0]) if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else {}
+    methods = {k: [*inspect.signature(v).parameters][1:] for k, v in alone.items() if k[0] != "_" and callable(v)}
+
     def lacking(value: object) -> str:
-        """What a protocol asks for, where it is all that is asked for, and this has not."""
-        asked = [kind for kind in _classes(hint) if kind is not type(None)]
-        alone = asked[0] if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else object
-        missing = [f"`{key}`" for key in vars(alone) if key[0] != "_" and not hasattr(value, key)]
-        return f" It has no {' and no '.join(missing)}." if missing else ""
+        """What the protocol asks for, where one is all that is asked for, and this has not."""
+        if value is None:
+            return ""
+        if missing := [f"`{key}`" for key in methods if not hasattr(value, key)]:
+            return f" It has no {' and no '.join(missing)}."
+        wrong = (key for key, names in methods.items() if not _takes(getattr(value, key), len(names)))
+        return next((f" Its `{key}` does not take ({', '.join(methods[key])})." for key in wrong), "")
 
     return check
 

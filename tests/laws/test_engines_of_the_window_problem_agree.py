@@ -249,6 +249,8 @@ def test_the_parameters_of_the_problem_are_the_data():
     mhe, other = (
         MovingHorizonEstimator(plant, horizon=3.0, cost=CostFunction(eta=0.1), constraints=kept) for _ in "ab"
     )
+    with pytest.raises(ArgumentError, match="`problem` is of a sample of the last horizon, and there is none"):
+        mhe.problem()
     for t in (0.6, 1.9, 2.4):
         mhe.update(t, [0.5])
         other.update(t, [0.5 if t < 2 else -0.4])

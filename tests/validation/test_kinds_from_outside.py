@@ -212,6 +212,8 @@ def test_what_does_not_go_together_is_refused(pendulum):
         sd.validate(pendulum, schedule, estimator=3.0)
     with pytest.raises(ArgumentError, match=r"must be an Estimator, got Half\. It has no `start` and no `predict`\."):
         sd.validate(pendulum, schedule, estimator=type("Half", (), {"update": Luenberger.update})())
+    with pytest.raises(ArgumentError, match=r"an Estimator, got Short\. Its `update` does not take \(t, y, u\)\."):
+        estimate(pendulum, [], type("Short", (Luenberger,), {"update": lambda self, t, y: y})(pendulum.linear, GAIN))
     with pytest.raises(ArgumentError, match="`estimate` must have 2 entries"):
         estimate(
             pendulum, [(0.0, [1.0])], type("Short", (Luenberger,), {"update": lambda *_: [1.0]})(pendulum.linear, GAIN)

@@ -21,6 +21,9 @@ from scipy.linalg import lapack
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 
+EPS = float(np.finfo(float).eps)
+TINY = float(np.finfo(float).tiny)  # the least variance: any error of a state that is known exactly lies beyond
+
 
 def propagate(Y: Array, F: Array, W: Array) -> Array:
     """Return F Y F' + W, exactly symmetric: a covariance over a gap, or that of an innovation (F = H, W its noise)."""
@@ -132,6 +135,33 @@ def correlation_root(Y: Array, rounding: float = 0.0) -> Array:
     values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
     values = np.maximum(values, 0.0) + rounding * max(1.0, float(values[-1]))
     return np.asarray(unit[:, None] * vectors * np.sqrt(values))
+
+
+def inverse_root(Y: Array) -> Array:
+    """Return Z with Z'Z = Y^-1, also of a Y that rounding has made singular: that is known to n eps of the rest."""
+    unit = np.sqrt(np.maximum(np.diag(Y), TINY))
+    correlations = Y / unit[:, None] / unit
+    factor, flag = lapack.dpotrf(correlations, lower=1, clean=1)
+    return (floored(correlations) if flag else lapack.dtrtri(factor, lower=1)[0]) / unit
+
+
+def floored(correlations: Array) -> Array:
+    """Return Z with Z'Z their inverse, eigenvalues below n eps of the largest counted as that."""
+    values, vectors = np.linalg.eigh(correlations)
+    return np.asarray(vectors.T / np.sqrt(np.maximum(values, len(values) * EPS * values[-1]))[:, None])
+
+
+def inverse_of_root(root: Array) -> Array:
+    """Return Z (..., n, n) with Z'Z = (root root')^-1, entry by entry to n eps of what is known of it."""
+    unit = np.maximum(np.linalg.norm(root, axis=-1), TINY)
+    turn, sizes, _ = np.linalg.svd(root / unit[..., None])
+    least = np.maximum(sizes, root.shape[-2] * EPS * sizes[..., :1])
+    return np.asarray(turn.swapaxes(-1, -2) / least[..., None] / unit[..., None, :])
+
+
+def carried(root: Array, F: Array, noise: Array) -> Array:
+    """Return a root (n, n) of F Y F' + W over a gap, from roots of Y and W."""
+    return triangle(np.hstack([F @ root, noise]))
 
 
 def triangle(root: Array) -> Array:

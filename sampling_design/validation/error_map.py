@@ -14,11 +14,15 @@ import numpy as np
 
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
+from sampling_design.estimators.online.verdict import ROUNDING
+from sampling_design.numerics.filtering import carried, covariance_root, inverse_of_root, root_update
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
+
+ROUNDED = 1e-13
+"""Relative error of errors that pass through all windows: some ten times what one gap and one sample cost."""
 
 
 class SampleUpdate(NamedTuple):
@@ -70,89 +74,96 @@ class ErrorMap:
         line, weights = timeline, estimator.weights
         self.timeline, self.weights, eta = line, weights, weights.eta
         gaps = np.diff(line.times[line.events])
-        self.F, self.W = discounted_flow(line.plant.A, weights.noise, gaps, eta)  # (K, n, n), between events
-        self.growth, self.decay = np.exp(eta * gaps), np.exp(-eta * gaps)
+        self.F, W = discounted_flow(line.plant.A, weights.noise, gaps, eta)  # (K, n, n), between events
+        self.noise = [covariance_root(each) for each in W]
+        self.growth, self.decay = np.exp(eta * gaps / 2), np.exp(-eta * gaps)
         self.weigh = weights.of(line.masks).y_root  # (N, p, p) and (N, p, n): weighted rows of v and C at each sample
         self.H = self.weigh @ line.plant.C
-        self.prior = weights.prior_root @ weights.prior_root.T
         self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
         self.place = {int(b): k for k, b in enumerate(line.events)}
         self.energies = weights.sample_energy(bounds.v, False, line.masks)
         self.w_energy, self.prior_energy = weights.disturbance_energy(bounds.w), weights.prior_energy(bounds.e0)
         self.windows: dict[int, SolveWindow] = {}  # by the event at which they end
-        covariances = self._covariances()  # (R, n, n), and |half e|^2 = |e|^2_Pi at each row
-        self.half = np.asarray(np.linalg.solve(np.linalg.cholesky(covariances), np.eye(line.plant.n_states)))
+        self.half = inverse_of_root(self._roots())  # (R, n, n), and |half e|^2 = |e|^2_Pi at each row
 
-    def _covariances(self) -> Array:
-        """Solve every window; return the covariances at the rows."""
+    def _roots(self) -> Array:
+        """Solve every window; return roots of the covariances at the rows."""
         line, eta = self.timeline, self.weights.eta
         noise = discounted_flow(line.plant.A, self.weights.noise, line.lengths, eta)[1]
-        Y, covariances = self.prior, []
+        S, roots = self.weights.prior_root, list[Array]()
         online: dict[int, Array] = {}
         for b in range(line.times.size):
             if b:
-                Y = propagate(np.exp(eta * line.lengths[b - 1]) * Y, line.F[b - 1], noise[b - 1])
+                S = carried(np.exp(eta * line.lengths[b - 1] / 2) * S, line.F[b - 1], covariance_root(noise[b - 1]))
             if b in line.sample_at:
-                covariances.append(Y)
-                window, Y = self._window(b, online)
+                roots.append(S)
+                window, S = self._window(b, online)
                 self.windows[window.end] = window
             if b in self.place:
-                online[self.place[b]] = Y
-            covariances.append(Y)
-        return np.array(covariances)
+                online[self.place[b]] = S
+            roots.append(S)
+        return np.array(roots)
 
     def _window(self, b: int, online: dict[int, Array]) -> tuple[SolveWindow, Array]:
         line, j, eta = self.timeline, self.timeline.sample_at[b], self.weights.eta
         start, end, times = self.place[int(line.starts[j])], self.place[b], line.times[line.events]
         given = bool(line.given[j])
-        Y, worst = self.prior, 1.0
+        S, worst = self.weights.prior_root, 1.0
         if not given:
-            factor = self.weights.prior_factor
-            worst = 1.0 if self.filtered else float(np.linalg.eigvalsh(factor.T @ online[start] @ factor)[-1])
-            Y = online[start] if self.filtered else Y
+            worst = 1.0 if self.filtered else float(np.linalg.norm(self.weights.prior_factor.T @ online[start], 2)) ** 2
+            S = online[start] if self.filtered else S
         length = times[end] - times[start]
         known = self.w_energy * float(discounted_length(eta, length)) if length > 0 else 0.0
         absorbs: dict[int, SampleUpdate] = {}
         for k in range(start, end + 1):
             if k > start:
-                Y = propagate(self.growth[k - 1] * Y, self.F[k - 1], self.W[k - 1])
+                S = carried(self.growth[k - 1] * S, self.F[k - 1], self.noise[k - 1])
             sample = line.sample_at.get(int(line.events[k]))
             if sample is not None and (k > start or given or self.weights.cost == "paper"):
-                absorbs[k], Y = self._absorbed(sample, Y)
+                S, gain, root = root_update(S, self.H[sample], np.eye(len(self.H[sample])))
+                absorbs[k] = SampleUpdate(sample, gain, root)
                 known += self.energies[sample] * float(np.exp(eta * (times[k] - times[end])))
-        return SolveWindow(start, end, given, absorbs, float(np.exp(-eta * length)), worst, known), Y
-
-    def _absorbed(self, j: int, Y: Array) -> tuple[SampleUpdate, Array]:
-        H = self.H[j]
-        unit = np.eye(len(H))
-        root = whitened(unit, propagate(Y, H, unit))
-        Y, gain = update_with_gain(Y, H)
-        return SampleUpdate(j, gain, root), Y
+        return SolveWindow(start, end, given, absorbs, float(np.exp(-eta * length)), worst, known), S
 
     def apply(self, inputs: ErrorSources) -> RunErrors:
-        """Return errors and radii of a batch of runs."""
+        """Return errors and radii of a batch of runs; infinite or NaN what grows beyond all numbers."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._applied(inputs)
+
+    def _applied(self, inputs: ErrorSources) -> RunErrors:
         line, runs = self.timeline, inputs.e0.shape[0]
         n, size, eta = line.plant.n_states, line.rows.at.size, self.weights.eta
         d = self._displacements(inputs.w)
         v = np.einsum("jab,rjb->jra", self.weigh, inputs.v)
         e, radius = np.array(inputs.e0), np.full(runs, self.prior_energy)
-        errors, radii = np.empty((size, runs, n)), np.empty((size, runs))
+        errors, radii, led = np.empty((size, runs, n)), np.empty((size, runs)), np.empty((size, runs, n))
         online: list[tuple[Array, Array]] = [(e, radius)] * line.events.size
-        row = 0
+        row, before = 0, np.abs(e)
         for b in range(line.times.size):
             if b:
+                before = np.abs(e) @ np.abs(line.F[b - 1]).T
                 e = e @ line.F[b - 1].T - inputs.w[:, b - 1] @ line.gamma[b - 1].T
                 h = line.lengths[b - 1]
                 radius = np.asarray(radius * np.exp(-eta * h) + self.w_energy * discounted_length(eta, h))
             if b in line.sample_at:
-                errors[row], radii[row] = e, radius
+                errors[row], radii[row], led[row] = e, radius, before
                 row += 1
+                before = np.abs(e)
                 e, radius = self._solve(self.windows[self.place[b]], online, (inputs.e0, d, v))
             if b in self.place:
                 online[self.place[b]] = e, radius
-            errors[row], radii[row] = e, radius
+            errors[row], radii[row], led[row] = e, radius, before
             row += 1
-        return RunErrors(errors.transpose(1, 0, 2), radii.T)
+        moved = self._rounded(np.maximum(np.abs(errors), led))
+        return RunErrors(errors.transpose(1, 0, 2), (radii + (2 * np.sqrt(radii) + moved) * moved).T)
+
+    def _rounded(self, sizes: Array) -> Array:
+        """By how much rounding of numbers of these sizes (R, r, n) may move errors, in units of the ellipsoids."""
+        held = np.sum(np.einsum("kab,krb->kra", np.abs(self.half), sizes) ** 2, axis=2)
+        faded = np.exp(-self.weights.eta * np.diff(self.timeline.rows.times))
+        for k, share in enumerate(faded.tolist(), 1):
+            held[k] += share * held[k - 1]
+        return np.asarray(ROUNDED * np.sqrt(held))
 
     def _solve(
         self, window: SolveWindow, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]
@@ -169,7 +180,8 @@ class ErrorMap:
                 innovation = v[absorb.sample] - e @ self.H[absorb.sample].T
                 cost = cost + np.sum((innovation @ absorb.root.T) ** 2, axis=1)
                 e = e + innovation @ absorb.gain.T
-        return e, np.maximum(window.discount * window.worst * radius + window.known - cost, 0.0)
+        terms = window.discount * window.worst * radius + window.known
+        return e, np.maximum(terms - cost, 0.0) + (ROUNDING + self.weights.loose) * terms
 
     def _displacements(self, w: Array) -> Array:
         """What w adds to the state between events, (K, r, n)."""
@@ -181,8 +193,7 @@ class ErrorMap:
         return d
 
     def ellipsoid_ratio(self, errors: RunErrors) -> Array:
-        """Return |e|^2_Pi / radius, (r, R): at most 1 where the ellipsoid holds the truth."""
-        square = np.sum(np.einsum("kab,rkb->rka", self.half, errors.e) ** 2, axis=2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = square / errors.radius
-        return np.where(errors.radius > 0, ratio, np.where(square > 0, np.inf, 0.0))
+        """Return |e|^2_Pi / radius, (r, R): at most 1 where the ellipsoid holds the truth; NaN beyond all numbers."""
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            away = np.linalg.norm(np.einsum("kab,rkb->rka", self.half, errors.e), axis=2)
+            return np.where(away == 0, 0.0, away / np.sqrt(errors.radius)) ** 2

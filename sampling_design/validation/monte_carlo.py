@@ -50,18 +50,19 @@ def measured(
 ) -> MonteCarloTrials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
     errors = error_map.apply(inputs)
-    size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
-    promised = np.full(size.shape[0], np.nan)
-    if apriori is not None:
-        promised = np.max(ratio(apriori.size(errors.e), apriori.along(error_map.timeline, inputs)), axis=1)
-    plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
+        promised = np.full(size.shape[0], np.nan)
+        if apriori is not None:
+            promised = np.max(ratio(apriori.size(errors.e), apriori.along(error_map.timeline, inputs)), axis=1)
+        plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
     return MonteCarloTrials(size, promised, error_map.ellipsoid_ratio(errors), plain)
 
 
 def ratio(observed: Array, promised: Array) -> Array:
-    """Return observed / promised; 0 where both are zero."""
+    """Return observed / promised; 0 where both are zero, NaN where one is no number or both are infinite."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(observed > 0, observed / promised, 0.0)
+        return np.where(observed == 0, np.where(np.isnan(promised), np.nan, 0.0), observed / promised)
 
 
 def growth(size: Array, times: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
-from sampling_design.numerics.filtering import measurement_update, propagate, whitened
+from sampling_design.numerics.filtering import inverse_root, measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 from sampling_design.validation.scenario import ErrorSources
@@ -110,7 +110,8 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
             R, Qv = (marginal(M, measured)[np.ix_(measured, measured)] for M in (certificate.R, certificate.Qv))
             v[0, j, measured] = -np.linalg.solve(R + Qv, R @ plant.C[measured] @ x)
         gamma, unit = _cell_noise(line, certificate, c)
-        dual = np.linalg.solve(before[c + 1 - start], x)
+        half = inverse_root(before[c + 1 - start])
+        dual = half.T @ (half @ x)
         w[0, c] = unit @ gamma.T @ dual
         x = np.exp(certificate.eta * line.lengths[c]) * later[c - start] @ line.F[c].T @ dual
     return ErrorSources(x[None], w, v)

@@ -36,7 +36,8 @@ class ClaimCheck(YesOrNo):
     note : str
         What else was observed.
     checked : bool
-        False where the promise could not be judged; then it did not hold, and the note says why.
+        False where the promise could not be judged, as where what was observed is beyond all numbers; then it did not
+        hold, and the note says why.
     """
 
     claim: str
@@ -58,6 +59,11 @@ class ClaimCheck(YesOrNo):
         "passed": "{passed}",
         "note": "{note:or }",
     }
+
+    def __post_init__(self) -> None:
+        if self.checked and np.isnan(self.observed):
+            note = f"What was observed is beyond all numbers. {self.note}".rstrip()
+            self.__dict__.update(checked=False, note=note)
 
     @property
     def margin(self) -> float:

@@ -76,8 +76,7 @@ def scaled_to(bound: Array, raw: Array) -> Array:
     if bound.ndim == 0:
         size = float(np.max(np.linalg.norm(raw, axis=-1), initial=0.0))
         return raw * (bound / size) if size > 0 else raw
-    with np.errstate(divide="ignore"):
-        room = np.where(np.abs(raw) > 0, bound / np.abs(raw), np.inf)
+    room = np.divide(bound, np.abs(raw), out=np.full(raw.shape, np.inf), where=np.abs(raw) > 0)
     return raw * float(np.min(room)) if np.isfinite(room).any() else raw
 
 
@@ -318,13 +317,18 @@ def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, A
                 x = F[k] @ x + gamma[k] @ w[c]
                 if driven is not None:
                     x = x + driven[k] @ input_at(changes, left, line.plant.n_inputs)
-        if not np.isfinite(x).all():
-            raise ArgumentError(
-                "`duration` must end before the state grows beyond all numbers, at "
-                f"t = {short(b)} {line.plant.time_unit}. Simulate less of it."
-            )
-        states[c + 1] = x
+        states[c + 1] = checked_state(line, b, x)
     return states
+
+
+def checked_state(line: Timeline, t: float, x: Array) -> Array:
+    """Return a state of a simulation; raise ArgumentError where it has grown beyond all numbers."""
+    if not np.isfinite(x).all():
+        raise ArgumentError(
+            "`duration` must end before the state grows beyond all numbers, at "
+            f"t = {short(t)} {line.plant.time_unit}. Simulate less of it."
+        )
+    return x
 
 
 def _measured(

@@ -21,6 +21,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 CELLS_PER_GAP = 6  # cells of a mean gap: a disturbance may change its mind that often between two samples
 CELLS_PER_CYCLE = 16
 """Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
+GAPS_TO_SETTLE = 40  # mean gaps in which an error is taken to have settled, whatever the horizon
 LARGEST = 20_000  # cells of one timeline; a disturbance gets coarser cells rather than more of them
 
 
@@ -127,11 +128,16 @@ def build_timeline(
 
 
 def default_duration(schedule: Schedule | PeriodicSchedule, horizon: float) -> float:
-    """Return three horizons and at least 40 mean gaps (but at most 200); of a finite schedule its last time."""
+    """Return three horizons and at least 40 mean gaps (but at most 200); of a finite schedule its last time.
+
+    Raises ArgumentError if that is 0.
+    """
     if not schedule.endless:
+        if schedule.times[-1] <= 0:
+            raise ArgumentError("`schedule` must have a sample after time 0: errors are looked at from there on.")
         return float(schedule.times[-1])
     gap = schedule.period / len(schedule)
-    return float(schedule.first + min(max(3 * horizon, 40 * gap), 200 * gap))
+    return float(schedule.first + min(max(3 * horizon, GAPS_TO_SETTLE * gap), 200 * gap))
 
 
 def exact_flow(plant: Plant, lengths: Array, through: Array) -> tuple[Array, Array]:

@@ -197,7 +197,7 @@ def test_a_radius_that_does_not_hold_is_found_out(pendulum):
 def test_the_estimators_of_the_package_are_validated_by_their_methods_alone(pendulum):
     bounds = {"w_bound": 0.1, "v_bound": 0.05, "initial_error": 0.5}
     kalman = sd.KalmanFilter(pendulum.linear, **bounds)
-    options = {"runs": 3, "duration": 10.0, "scenarios": ["random", "initial", "paper"]}
+    options = {"runs": 3, "duration": 15.0, "scenarios": ["random", "initial", "paper"]}
     report = sd.validate(pendulum, sd.PeriodicSchedule([0.3, 0.4]), estimator=kalman, **options, **bounds)
     assert report.passed
     assert {finding.claim for finding in report.checks} == {"online ellipsoid", "error does not grow"}

@@ -44,10 +44,10 @@ def test_a_calm_truth_is_left_alone():
     inputs = draw_inputs(line, ScenarioBounds.of(plant, 0.1, 0.1, 1.0), np.random.SeedSequence(0).spawn(1))
     truth = true_run(line, inputs)
     assert truth.u is None
-    low, high = extent(truth)
+    low, high = extent(truth.states)
     assert np.all((truth.states >= low) & (truth.states <= high))
     assert np.all((low <= 0) & (high >= 0))
-    wide = extent(truth, 1.0)
+    wide = extent(truth.states, 1.0)
     assert wide[1] - wide[0] == pytest.approx(3 * (high - low))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple, Protocol
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.interval import Interval
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.state_tube import StateTube
+from sampling_design.numerics.filtering import inverse_root
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -237,10 +239,13 @@ class Estimate(PlainRecord):
 
     @cached_property
     def Pi(self) -> Array:
-        """Information matrix, the inverse of `covariance`."""
-        factor = np.linalg.cholesky(self.covariance)
-        half = np.linalg.solve(factor, np.eye(self.x.size))
-        return freeze(half.T @ half)
+        """Information matrix, the inverse of `covariance`; what rounding made singular counts as n eps of the rest."""
+        return freeze(self._half.T @ self._half)
+
+    @cached_property
+    def _half(self) -> Array:
+        """Z with Z'Z = `Pi`."""
+        return inverse_root(self.covariance)
 
     @cached_property
     def radii(self) -> Array:
@@ -271,12 +276,14 @@ class Estimate(PlainRecord):
         return self.ratio(truth) <= 1.0
 
     def ratio(self, truth: npt.ArrayLike) -> float:
-        """Return |truth - x|^2_Pi / radius, at most 1 where the claim holds."""
-        half = np.linalg.solve(np.linalg.cholesky(self.covariance), checks.vector("truth", truth, self.x.size) - self.x)
-        square = float(half @ half)
+        """Return |truth - x|^2_Pi / radius, at most 1 where the claim holds; NaN where data contradict the bounds."""
+        off = checks.vector("truth", truth, self.x.size) - self.x
         if np.isnan(self.radius):
             return np.nan
-        return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
+        if self.radius == np.inf or not off.any():
+            return 0.0
+        size = math.hypot(*self._half.dot(off).tolist())
+        return (size / math.sqrt(self.radius)) ** 2 if self.radius > 0 else np.inf
 
     def _moment(self) -> str:
         return moment(self.t)

@@ -143,7 +143,8 @@ class OpenLoop:
 
     def _trace(self, Y: Array) -> float:
         """Trace of a covariance in units of P2."""
-        return float(np.sum(self.weights.prior * Y))
+        with np.errstate(over="ignore", invalid="ignore"):  # of two that overflow neither is the smaller one
+            return float(np.sum(self.weights.prior * Y))
 
     def _disturbed(self, flow: GapFlow) -> Array:
         """int_0^h e^{As} G Qw^-1 G' e^{A's} ds over a gap, found once: predictions look ahead by the same gaps."""

@@ -13,6 +13,7 @@ from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Status
 from sampling_design.estimators.online.history import HistoryNode
+from sampling_design.numerics.filtering import floored
 from sampling_design.records.arrays import Array
 
 ROUNDED = 1e-14
@@ -101,9 +102,7 @@ def in_units_of(Y: Array, size: Array, precision: CovariancePrecision | None = N
         Y, size, unit = Y[np.ix_(kept, kept)], size[kept], unit[kept]
     factor, flag = lapack.dpotrf(Y / unit[:, None] / unit, lower=1, clean=1)
     if flag:
-        values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
-        least = len(Y) * float(np.finfo(float).eps) * values[-1]
-        half = vectors.T / np.sqrt(np.maximum(values, least))[:, None]
+        half = floored(Y / unit[:, None] / unit)
     else:
         half = lapack.dtrtri(factor, lower=1)[0]
     far, near = math.hypot(*np.abs(half).dot(size / unit).tolist()), math.hypot(*half.ravel().tolist())

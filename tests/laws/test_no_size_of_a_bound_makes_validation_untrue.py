@@ -1,0 +1,103 @@
+"""Whatever the bounds are, zero or apart by twenty-four decades, `validate` calls no promise broken that was kept.
+
+`python -m tests.laws.test_no_size_of_a_bound_makes_validation_untrue 200` draws 200 plants.
+"""
+
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.validation.monte_carlo import ratio
+from sampling_design.validation.report import ClaimCheck
+from tests.cases import few
+
+SIZES = [0.0, 0.0, 1e-12, 1e-6, 1.0, 1.0, 1e6, 1e12]
+SCENARIOS = ("random", "worst", "initial", "constraints")
+
+
+def drawn(seed):
+    """A plant that does not grow, a schedule, bounds of any size and weights that know nothing of them."""
+    rng = np.random.default_rng(seed)
+    n, p = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+    A = rng.normal(size=(n, n))
+    A = A - A.T if rng.random() < 0.5 else A - 3 * np.eye(n)
+    plant = sd.Plant(A, rng.normal(size=(p, n)), G=rng.normal(size=(n, 1)))
+    times = np.cumsum(rng.uniform(0.1, 1.0, 6))
+    bounds = {}
+    for name, size in (("w_bound", 1), ("v_bound", p), ("initial_error", n)):
+        most = float(rng.choice(SIZES))
+        bounds[name] = most if rng.random() < 0.5 else most * rng.random(size)
+    cost = CostFunction(P2=np.eye(n), eta=float(rng.choice([0.0, 0.2])), arrival=str(rng.choice(["fixed", "filtered"])))
+    return plant, sd.Schedule(times), {**bounds, "cost": cost, "horizon": float(rng.choice([0.4, 2.0, 50.0]))}
+
+
+def report_of(seed):
+    """The report, any warning an error."""
+    plant, schedule, given = drawn(seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        return sd.validate(plant, schedule, runs=2, rng=seed, scenarios=SCENARIOS, **given)
+
+
+@pytest.mark.parametrize("seed", few(range(24), 0, 3))
+def test_every_promise_is_kept_whatever_the_bounds(seed):
+    report = report_of(seed)
+    assert report.passed, [(check.claim, check.scenario, check.observed, check.note) for check in report.broken]
+
+
+def test_growth_beyond_all_numbers_is_neither_kept_nor_broken():
+    plant, schedule = sd.Plant([[9.0]], [[1.0]]), sd.PeriodicSchedule([1.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        unseen = sd.Plant([[9.0, 0.0], [0.0, -1.0]], [[0.0, 1.0]])
+        report = sd.validate(unseen, schedule, horizon=2.0, runs=2, duration=90.0, scenarios=["random"])
+        assert [check.verdict for check in report.checks] == ["NOT CHECKED"]
+        assert "beyond all numbers" in report.checks[0].note
+        with pytest.raises(ArgumentError, match="before the state grows beyond all numbers"):
+            sd.validate(plant, schedule, estimator=sd.KalmanFilter(plant), runs=1, duration=90.0)
+
+
+def test_what_is_no_number_is_not_what_was_promised():
+    found = ratio(np.array([0.0, 2.0, np.nan, np.inf, 0.0]), np.array([0.0, 4.0, 1.0, np.inf, np.nan]))
+    assert np.array_equal(found, [0.0, 0.5, np.nan, np.nan, np.nan], equal_nan=True)
+    check = ClaimCheck("a", "b", 1.0, np.nan, note="Why.")
+    assert (check.verdict, check.note) == ("NOT CHECKED", "What was observed is beyond all numbers. Why.")
+
+
+@pytest.mark.parametrize("decades", [0, 150])
+def test_an_ellipsoid_that_is_flat_holds_what_lies_in_it(decades):
+    unit = 10.0**decades
+    flat = Estimate(0.0, np.zeros(3), np.diag([1.0, 0.0, 4.0]) + np.outer([0, 0, 1.0], [0, 0, 0.0]), 4.0)
+    skew = Estimate(0.0, np.zeros(2), np.array([[1.0, 1.0], [1.0, 1.0]]) * unit**2, 4.0)
+    assert flat.ratio([1.0, 0.0, 2.0]) == pytest.approx(0.5)
+    assert flat.ratio([0.0, 1e-100, 0.0]) > 1e100
+    assert skew.holds([unit, unit])
+    assert skew.ratio([unit, unit]) == pytest.approx(0.25, rel=1e-6)
+    assert not skew.holds([unit, -unit])
+    assert np.isfinite(skew.Pi).all()
+    assert Estimate(0.0, np.zeros(1), np.eye(1), 0.0).ratio([0.0]) == 0.0
+    assert Estimate(0.0, np.zeros(1), np.eye(1), 0.0).ratio([1.0]) == np.inf
+
+
+def test_a_schedule_that_ends_where_it_begins_names_itself():
+    plant = sd.Plant([[-1.0]], [[1.0]])
+    with pytest.raises(ArgumentError, match="`schedule` must have a sample after time 0"):
+        sd.validate(plant, sd.Schedule([0.0]), horizon=1.0)
+
+
+def test_growth_is_judged_only_where_it_can_have_settled():
+    plant, bounds = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), {"w_bound": 0.1, "v_bound": 0.1}
+    report = sd.validate(plant, sd.Schedule([0.3, 0.9]), estimator=sd.KalmanFilter(plant), runs=1, **bounds)
+    assert not [check for check in report.checks if check.claim == "error does not grow"]
+    assert "growth of the error (resonant): 2 samples, it settles in 40." in report.skipped
+
+
+if __name__ == "__main__":
+    broken = [seed for seed in range(int(sys.argv[1])) if not report_of(seed).passed]
+    print(f"{sys.argv[1]} plants, not kept in {broken}")

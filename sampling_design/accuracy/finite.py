@@ -17,13 +17,12 @@ from sampling_design.accuracy.sampled_system import (
     make_gap,
     noise_units,
     refuse_growth,
-    too_far,
 )
-from sampling_design.accuracy.undetectable import UNOBSERVABLE
+from sampling_design.accuracy.undetectable import ROUNDED, UNOBSERVABLE
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
+from sampling_design.numerics.filtering import covariance_root, largest_first, root_update, triangle
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Mask
 
 DIFFUSE = 1e6
 """Covariance of what is free at the start, in scaled coordinates: for the choice of coordinates and gains only."""
@@ -33,8 +32,8 @@ NO_ERROR = 1e-9  # half-width given to an entry that is known exactly at the sta
 BLURRED = 1e-7
 """Share of its way to which a hidden direction may shrink: what rounding makes of it is then below `UNOBSERVABLE`."""
 
-LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
-"""Shares of its diagonal that are added to a covariance that rounding has made indefinite, the first that helps."""
+LITTLE = 3e-7
+"""Share of the deviation of each state that is added to a root, for coordinates: they have digits left then."""
 
 BEYOND = 1e3  # a state's scale is at most so many times what is known of it at the start
 
@@ -48,17 +47,20 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     known = np.linalg.norm(initial.rows * balance, axis=0)  # what nothing drives shows what the start does to it
     begun = np.divide(1.0, known, out=np.zeros_like(known), where=known > 0)
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W if W.any() else np.diag(begun**2)[None])
-    D = _scales(F, W, rows, known)
+    D = _scales(F, W, rows, known, initial.exact)
     (A, F), G, W, rows = (M * D / D[:, None] for M in (A, F)), G / D[:, None], W / np.outer(D, D), [H * D for H in rows]
     D = balance * D
-    P = start_covariance(initial, D)
+    root = covariance_root(start_covariance(initial, D))
     roots, samples = [], []
     for j, H in enumerate(rows):
-        K, P = update_with_gain(P, H)[1], information_update(P, H.T @ H)
-        roots.append(coordinate_root(P))
+        K = np.zeros((len(D), 0))
+        if len(H):
+            root, K, _ = root_update(largest_first(root), H, np.eye(len(H)))
+        roots.append(coordinate_root(root))
         K = np.asarray(np.linalg.solve(roots[j], K))
         samples.append(MeasurementModel(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
-        P = propagate(P, F[j], W[j]) if j < len(lengths) else P
+        if j < len(lengths):
+            root = triangle(np.hstack([F[j] @ root, covariance_root(W[j])]))
     L = np.array(roots)
     table = GapTable(A, G, np.ones(len(A)))
     gaps = tuple(make_gap(table, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
@@ -66,22 +68,19 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     return SampledSystem(plant, bounds, D, L, A, G, tuple(samples), gaps, start=start, last=last, known=initial.exact)
 
 
-def coordinate_root(P: Array) -> Array:
-    """A root of a covariance for coordinates alone: where rounding has made it indefinite, a little is added."""
-    if not np.all(np.diag(P) > 0):
-        raise too_far()
-    d = np.sqrt(np.diag(P))
-    R = P / np.outer(d, d)
-    for share in LITTLE:
-        try:
-            return np.asarray(d[:, None] * np.linalg.cholesky((R + R.T) / 2 + share * np.eye(d.size)))
-        except np.linalg.LinAlgError:
-            continue
-    return np.diag(d)
+def coordinate_root(root: Array) -> Array:
+    """A root of a covariance for coordinates alone: a little is added, of what has decayed beyond numbers, too."""
+    size = np.linalg.norm(root, axis=1)
+    least = np.finfo(float).eps * (float(size.max(initial=0.0)) or 1.0)
+    made = triangle(np.hstack([root, np.diag(np.maximum(LITTLE * size, least))]))
+    return np.asarray(np.where(np.abs(made) > ROUNDED * size[:, None], made, np.diag(np.diag(made))))
 
 
-def _scales(F: Array, W: Array, rows: list[Array], known: Array) -> Array:
-    """Diagonal D: between what w reaches and what samples see, else what is `known` at the start (0: nothing)."""
+def _scales(F: Array, W: Array, rows: list[Array], known: Array, exact: Mask) -> Array:
+    """Diagonal D: between what w reaches and what samples see, else what is `known` at the start (0: nothing).
+
+    Of what is known exactly and nothing drives: what others bring into it.
+    """
     pairs = min(len(F), len(rows))
     D = state_scales(F[:pairs], W[:pairs], rows[:pairs])
     if not known.any():
@@ -89,7 +88,9 @@ def _scales(F: Array, W: Array, rows: list[Array], known: Array) -> Array:
     driven = np.any(W != 0, axis=(0, 2))
     size = 1 / np.where(known > 0, known, 1.0)
     # what a sample shows only after it has decayed is known far better from the start and from w
-    return np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
+    D = np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
+    brought = np.abs(F).max(axis=0) @ np.where(exact, 0.0, D)
+    return np.where(exact & ~driven & (brought > 0), brought, D)
 
 
 def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Array:

@@ -27,7 +27,7 @@ from sampling_design.accuracy.search import GainSearch, combined_gains
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
 from sampling_design.errors import NotDetectableError, UndecidedError
-from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
+from sampling_design.numerics.filtering import covariance_root, information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.search_progress import GAINS, SYSTEM
@@ -407,6 +407,6 @@ def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[A
     v = np.where(measured & np.isfinite(v_bound), v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
-    root = coordinate_root(information_update(P, H.T @ H))
+    root = coordinate_root(covariance_root(information_update(P, H.T @ H)))
     K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
     return root, MeasurementModel(bounds.measured(0), size, H @ root, exact, K)

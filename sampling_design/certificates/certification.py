@@ -41,7 +41,7 @@ from sampling_design.errors import ArgumentError, CertificateError, UndecidedErr
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, Signals, remade
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -56,6 +56,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
     from sampling_design.certificates.families.family_certificate import FamilyCertificate
+
+
+AS_IF_DRIVEN = ", as if disturbances moved each state by its scale within a mean gap, for nothing drives the plant"
 
 
 def certify_given(
@@ -174,7 +177,8 @@ def certify(
         narrow radii instead of the least horizon. Where one is not given, or zero, the plant's scales stand for it.
     noise_gain : float
         C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
-        their scales. Only used where P2 is chosen. Where nothing is proven with it, a plant that decays on its own is
+        their scales. Only used where P2 is chosen; of a plant that nothing drives, as if a disturbance moved each state
+        by its scale within a mean gap. Where nothing is proven with it, a plant that decays on its own is
         certified without, which `explain()` says.
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). The
@@ -357,7 +361,7 @@ def chosen(
             _require(plant, schedule, eta, canon)
         bounds = _bounds(plant, schedule, canon) if eta is None else (eta * canon.time, eta * canon.time)
         plain, between = canon, bounds
-        canon, bounds = search_units(plant, schedule, weights, bounds)
+        canon, bounds = search_units(*driven(plant, schedule, weights), bounds)
         problem, searching = (plant, schedule, weights), limit.share(SEARCHED)
         asked = [(gain, SearchEffort(WorkLimit(ALL_WORK, stop=lambda: limit.over))) for gain in gains]
         # where lambda is one no search finds a shorter horizon; the slow modes of a large plant are sought alone
@@ -382,6 +386,18 @@ def chosen(
                 return [precisely_chosen(problem, plain, between, eta, gain, first.total) for gain, first in asked]
             except UndecidedError:
                 return _without_gain(problem, canon, bounds, eta, gains, error)
+
+
+def driven(plant: Plant, schedule: AnySchedule, weights: NoiseWeights) -> tuple[Plant, AnySchedule, NoiseWeights]:
+    """The problem in which weights are sought: where nothing drives the plant, a disturbance does that moves each state
+    by its scale within a mean gap. Else what is known would stay known for ever, and no noise gain have a least one.
+    """
+    if plant.G.any():
+        return plant, schedule, weights
+    gaps = schedule.gaps if schedule.gaps.size else np.asarray(schedule.times)
+    n, scales = plant.n_states, plant.states.scales
+    moved = remade(plant, G=np.diag(scales), disturbances=Signals([f"w{i + 1}" for i in range(n)]))
+    return moved, schedule, weights._replace(Qw=float(np.mean(gaps)) * np.eye(n))
 
 
 def _without_gain(
@@ -471,7 +487,7 @@ def _first_proven(
     proofs = sorted(proofs, key=lambda item: item[:2])
     order = [(True, item) for item in proofs] + [(False, item) for item in proofs[:1]]  # room for the best one
     for plainly, (_, _, proof, choice) in order:
-        how = {"weights": f"least horizon with noise gain {gain:g}"}
+        how = {"weights": f"least horizon with noise gain {gain:g}{'' if plant.G.any() else AS_IF_DRIVEN}"}
         if choice.spare:
             how = {"weights": f"a first guess with noise gain {gain:g}: at the best rate no proof closed"}
         solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)

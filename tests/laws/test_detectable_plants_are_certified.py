@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates import certification as room
 from sampling_design.certificates.exact import efforts, precise, riccati, riccati_peak, weight_choice
 from sampling_design.certificates.exact import proof as proofs
@@ -283,3 +283,23 @@ def test_what_doubles_cannot_follow_is_certified_in_more_digits(monkeypatch):
     monkeypatch.setattr(precise, "find_spec", lambda name: None)
     with pytest.raises(UndecidedError, match="the schedule is on the edge of what can be certified"):
         certify(plant, schedule, eta=rate)
+
+
+UNDRIVEN = {
+    "growing": ([[0.3]], [[-0.4]]),
+    "decaying, defective": ([[-0.5, 1.0], [0.0, -0.5]], [[0.8, -0.2]]),
+    "an unobserved mode decays": (np.diag([-0.3, -0.3, 0.1]), [[-0.2, -1.3, -0.5]]),
+}
+
+
+@pytest.mark.parametrize(
+    "schedule", [PeriodicSchedule([7e5, 1e6]), Schedule([0.7, 1.0, 1.3, 2.3])], ids=["endless", "finite"]
+)
+@pytest.mark.parametrize("name", UNDRIVEN)
+def test_a_plant_that_nothing_drives_is_certified(name, schedule, monkeypatch):
+    """What is known of it stays known for ever: no noise gain has a least, and weights are those of a driven one."""
+    monkeypatch.setattr(weight_choice, "SEARCH_WORK", 1e5)
+    A, C = UNDRIVEN[name]
+    made = certify(Plant(np.divide(A, 1e6 if schedule.endless else 1.0), C, G=np.zeros((len(A), 1))), schedule)
+    assert "nothing drives" in made.solver.details["weights"]
+    assert made.verify().passed

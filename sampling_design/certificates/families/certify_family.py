@@ -9,8 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import __version__
+from sampling_design.certificates.exact.canonical import canonical
+from sampling_design.certificates.exact.certificate import WITHOUT_GAIN
 from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, weights_of
 from sampling_design.certificates.exact.proof import as_proven
+from sampling_design.certificates.exact.retained_part import NEAREST, lyapunov_shapes
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -28,7 +32,7 @@ from sampling_design.certificates.families.step_proof import (
 from sampling_design.certificates.families.step_proof import prove as proven_along
 from sampling_design.certificates.form.claims import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.decide import judged_while_sought
-from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
@@ -36,7 +40,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.record import below, short
+from sampling_design.records.record import Plain, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 
@@ -106,7 +110,10 @@ class FamilySearch:
         room = MOST_UNKNOWNS // ((graph.count - 1) * n * (n + 1) // 2)
         graph = unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
         nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
-        K = _coordinate_root(np.mean(periodic_riccati_solution(nominal), axis=0))
+        Y = np.full((n, n), np.nan)  # of a nominal schedule that does not settle in doubles
+        with suppress(SolverError):
+            Y = np.mean(periodic_riccati_solution(nominal), axis=0)
+        K = _coordinate_root(Y)
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
         dynamics = dynamics_of(self.plant, self.weights, eta, np.asarray(root, dtype=np.float64), graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
@@ -213,6 +220,30 @@ class FamilySearch:
                 report(0.3, "search for a schedule without certificate")
                 least = refute(self.plant, self.family, bounds[0], hints=[proposal.gap])
         raise _undecided(self, bounds[0], missed, least)
+
+    def by_own_decay(self, bounds: tuple[float, float], memory: int) -> FamilyProposal | None:
+        """What the plant's own decay proves, whatever is sampled, without the noise gain; None if nothing."""
+        own = -2 * float(np.max(np.linalg.eigvals(self.plant.A).real))
+        if NEAREST * own < bounds[0]:
+            return None
+        eta = float(np.clip(own / 2, *bounds))
+        program, canon = self.program(eta, memory, layers=1), canonical(self.plant, self.family.nominal, self.weights)
+        dynamics, graph = program.dynamics, program.graph
+        with suppress(SolverError, np.linalg.LinAlgError):
+            for shape in lyapunov_shapes(canon, eta * canon.time, own * canon.time):
+                lasting = dynamics.inside(symmetrise(canon.outside(shape)))
+                first = lasting if program.P2 is None else program.P2
+                least = min(1.0, 1 / float(np.max(np.linalg.eigvals(np.linalg.solve(first, lasting)).real)))
+                P = np.repeat((1 - RESOLUTION) * least * lasting[None], graph.count, axis=0)
+                P[0] = first  # the others are below it, for a first sample that comes at once
+                if proven_along(dynamics, edge_conditions(dynamics, graph, P), self.budget).proven:
+                    lam, nodes = self._lam_of(program, P)
+                    if nodes.proven:
+                        kept = f"{WITHOUT_GAIN} {self.noise_gain:g}, for none was proven with it"
+                        how: dict[str, Plain] = {"weights": kept} if program.P2 is None else {}
+                        record = SolverRecord("sampling_design", __version__, "the plant decays on its own", 0, how)
+                        return FamilyProposal(dynamics, graph, P, lam, record, 0.0, None)
+        return None
 
     def best_of(
         self, bounds: tuple[float, float], memory: int, known: FamilyProposal, report: Progress
@@ -327,13 +358,19 @@ def certify_family(
         return decided(weights)
     except UndecidedError as error:
         told = plant.has_scales or any(weight is not None for weight in (P2, Qw, R, Qv))
-        if told or error.details.get("status") != "undecided":
+        if error.details.get("status") != "undecided":
             raise
-        other = _weights_by_response(plant, family)
+        other = None if told else _weights_by_response(plant, family)
         if other is not None and not limit.over:
             with suppress(UndecidedError):
                 made = decided(other)
                 return replace(made, solver=replace(made.solver, details={**made.solver.details, "weights": RESPONSE}))
+        decaying = FamilySearch(plant, family, weights, given, noise_gain, limit).by_own_decay(bounds, levels[0])
+        if decaying is not None:
+            with suppress(UndecidedError):
+                return certified(plant, family, weights, given, decaying)
+        if told:
+            raise
         raise UndecidedError(
             f"{error} Without weights, bounds or scales a disturbance of 1 and noise of 1 count alike: give w_bound, "
             "v_bound and initial_error.", **error.details,

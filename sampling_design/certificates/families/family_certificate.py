@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sampling_design.certificates.exact.certificate import SampledCertificate, latest_samples
+from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, SampledCertificate, latest_samples
 from sampling_design.certificates.families.graphs import PathCompleteGraph, family_in_words, in_plant_terms
 from sampling_design.certificates.form.claims import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
@@ -82,7 +82,8 @@ class FamilyCertificate(SampledCertificate):
 
     def explain(self) -> str:
         """Say what the certificate proves."""
-        weights = self.solver.details.get("weights")
-        counted = f" Its weights count {weights}." if weights else ""
+        weights = str(self.solver.details.get("weights", ""))
+        counted = f" Its {weights}." if weights.startswith(WITHOUT_GAIN) else f" Its weights count {weights}."
+        counted = counted if weights else ""
         family = family_in_words(self.plant, self.family)
         return f"{family} The plant is detectable with each of them: {self._promise()}{counted}"

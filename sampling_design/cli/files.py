@@ -80,7 +80,7 @@ def _named_plant(path: Path) -> Plant:
     try:
         return sd.read_plant(path)
     except FileFormatError as error:
-        if "Did you mean" in str(error):
+        if "Did you mean" in str(error) or path.parent.name:  # who types a folder means a file
             raise
         raise FileFormatError(f"{error} A plant of the library needs no file. {likely(path.stem, PLANTS)}") from None
 

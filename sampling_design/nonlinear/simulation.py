@@ -158,7 +158,7 @@ class Integrator:
 
         Raises SolverError if the integration fails.
         """
-        return self.path(x, u, w, start, stop, u_stop)[-1]
+        return np.asarray(self.path(x, u, w, start, stop, u_stop)[-1])
 
     def path(self, x: Array, u: Array, w: Array, start: float, stop: float, u_stop: Array | None = None) -> Array:
         """Return the states (points, n) at the ends of so many equal parts of a stretch, as `step` does the last."""

@@ -65,8 +65,8 @@ def _ratio(estimate: Estimate, truth: Array, rounding: Array) -> float:
     if not 1 < found < np.inf:
         return found
     half = inverse_root(estimate.covariance)
-    away = np.linalg.norm(half @ (truth - estimate.x)) - np.linalg.norm(np.abs(half) @ rounding)
-    return float(max(away, 0.0) ** 2 / estimate.radius)
+    away = float(np.linalg.norm(half @ (truth - estimate.x)) - np.linalg.norm(np.abs(half) @ rounding))
+    return max(away, 0.0) ** 2 / estimate.radius
 
 
 def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: bool = True) -> SimulatedRun:

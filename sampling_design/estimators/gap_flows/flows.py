@@ -121,7 +121,7 @@ class GapFlow:
         return band
 
     def weighed(self) -> bool:
-        """Find what states at both ends cost together; whether it can be had. Overflows are not inverted, but reported."""
+        """Find what states at both ends cost together; whether it can be had. Overflows are not inverted, but said."""
         if self._ends is None:
             self._ends = _joint(self.F, self.W)
         return self._ends is not _NO_ENDS

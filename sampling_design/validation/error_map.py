@@ -12,12 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.verdict import ROUNDING
 from sampling_design.numerics.filtering import carried, covariance_root, inverse_of_root, root_update
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array
+from sampling_design.records.record import short
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
 
@@ -68,6 +70,11 @@ class ErrorMap:
         "paper" means windows closed at their start.
     bounds : ScenarioBounds
         For the radii.
+
+    Raises
+    ------
+    ArgumentError
+        If covariances grow beyond double precision in a gap.
     """
 
     def __init__(self, timeline: Timeline, estimator: OnlineEstimator, bounds: ScenarioBounds):
@@ -75,6 +82,12 @@ class ErrorMap:
         self.timeline, self.weights, eta = line, weights, weights.eta
         gaps = np.diff(line.times[line.events])
         self.F, W = discounted_flow(line.plant.A, weights.noise, gaps, eta)  # (K, n, n), between events
+        beyond = ~(np.isfinite(self.F) & np.isfinite(W)).all(axis=(1, 2))
+        if beyond.any():
+            raise ArgumentError(
+                "`schedule` must not leave the plant alone until it has grown beyond double precision, as at "
+                f"t = {short(line.times[line.events][1:][beyond][0])} {line.plant.time_unit}."
+            )
         self.noise = [covariance_root(each) for each in W]
         self.growth, self.decay = np.exp(eta * gaps / 2), np.exp(-eta * gaps)
         self.weigh = weights.of(line.masks).y_root  # (N, p, p) and (N, p, n): weighted rows of v and C at each sample

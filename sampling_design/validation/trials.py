@@ -9,7 +9,8 @@ import numpy as np
 
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator, estimate_from
-from sampling_design.numerics.filtering import EPS, inverse_root
+from sampling_design.estimators.online.verdict import ROUNDED
+from sampling_design.numerics.filtering import inverse_root
 from sampling_design.plants.plant import Plant, remade
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.validation.scenario import ErrorSources, checked_state
@@ -99,7 +100,7 @@ def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: boo
         if b in marks:
             applied.append(u)
     first = 1 if line.samples[0] > 0 else 0
-    rounding = len(x) * EPS * np.arange(1, line.times.size + 1)[:, None] * (sizes + np.abs(states))
+    rounding = ROUNDED * np.arange(1, line.times.size + 1)[:, None] * (sizes + np.abs(states))
     given = np.array(applied)[: len(outputs) + first] if steered else None
     return SimulatedRun(states, rounding, np.array(outputs), given)
 

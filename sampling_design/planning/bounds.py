@@ -17,7 +17,8 @@ from sampling_design.planning.evidence import CostProof, CostTree, open_choices
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import smallest_hitting_set
-from sampling_design.records.arrays import Array
+from sampling_design.planning.problem import SAME_PRICE
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 
 INTEGRAL = 1e-6  # an entry counts as 0 or 1 within this
@@ -118,19 +119,34 @@ class CostProver:
         counted = self._counted(level, target) if find is not None else None
         if counted is not None:
             return counted
-        if self.grid_filter is not None:
-            left = open_choices(self.covering, self.grid_filter, level, target)
-            if left == []:
-                return CostProof(level, target, (), CostTree(), judged=True)
-            if left and decide and self.grid_filter.decides:
-                return CostProof(level, 0.0, tuple(keys), CostTree())
+        judged = self._judged(level, target, decide)
+        if judged is not None and judged[1]:
+            return judged[0]
         found, _ = separated(self.covering, self.pool, level, list(keys), self.work, target)
         proof = _ProofTree(self, level, target, found, self.work, find, decide, MOST_NODES).proof()
-        if decide or proof.value >= target or self.work.over:
-            return proof
-        half = self.work.share(0.5)
-        closed = _ProofTree(self, level, target, list(proof.keys), half, find, True, CLOSED_NODES).proof()
-        return max(proof, closed, key=lambda each: each.value)
+        proofs = [proof] if judged is None else [judged[0], proof]
+        if not decide and proof.value < target and not self.work.over:
+            half = self.work.share(0.5)
+            proofs.append(_ProofTree(self, level, target, list(proof.keys), half, find, True, CLOSED_NODES).proof())
+        return max(proofs, key=lambda each: each.value)
+
+    def _judged(self, level: float, target: float, decide: bool) -> tuple[CostProof, bool] | None:
+        """What judging all choices one by one proves, and whether nothing can prove more; None where they are many."""
+        value, left, grid_filter = target, list[Mask](), self.grid_filter
+        while grid_filter is not None:
+            open_ = open_choices(self.covering, grid_filter, level, value)
+            if open_ is None:
+                return None
+            if not open_:
+                cheapest = any(self.covering.problem.is_admissible(each) for each in left)
+                sure = value >= target or (grid_filter.decides and cheapest)
+                return CostProof(level, value, (), CostTree(), judged=True), sure
+            if decide and grid_filter.decides:
+                return CostProof(level, 0.0, (), CostTree()), True
+            costs = np.array([self.covering.problem.cost(each) for each in open_])
+            value = float(costs.min())
+            left = [each for each, cost in zip(open_, costs, strict=True) if cost <= value * (1 + SAME_PRICE)]
+        return None
 
     def _counted(self, level: float, target: float) -> CostProof | None:
         """The proof where nothing but the number of samples counts, or None."""

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -34,8 +34,8 @@ ROUNDING = 1e-9  # relative allowance for rounding in what multipliers prove
 NEAR = 5e-4  # a choice is cheap enough within this share; how many trajectories it sees decides no finer
 OPEN_ROW = 1e3  # price of a row left open, in units of the dearest variable's: what has no choice becomes this dear
 TIE = 1e-9  # costs are equal within this share
-MOST_CHOICES = 20_000  # that are judged one by one
-SMALLER = 4  # times as many choices as are wanted that something may join are gone through, at most
+SMALLER = 16  # times as many beginnings are looked at, at most
+MOST_CHOICES = 20_000  # beginnings of one length, and choices, that are judged one by one
 GRAIN = 1e-6  # costs are whole multiples of a grain within this share of it
 
 
@@ -51,6 +51,24 @@ class CoveringProgram:
     def unit(self) -> float:
         """A power of two near the least price: a solver's tolerances are absolute, and prices have any unit."""
         return float(2.0 ** np.floor(np.log2(np.min(self.c[self.c > 0], initial=np.inf)))) if self.c.any() else 1.0
+
+
+class Readings(NamedTuple):
+    """What one sample may measure: what is free in any case. By steps."""
+
+    at: Index  # (R,)
+    measured: Mask  # (R, p)
+    cost: Array  # (R,)
+    more: Array  # (R,): the least price of what it leaves out; infinite where that is nothing
+
+    def joins(self, taken: Index, further: bool) -> Array:
+        """The least cost of what may join each of these choices (B, k), a further sample or measurement."""
+        least, found = np.unique(self.at), self.more[taken].min(axis=1)
+        cost = np.minimum.reduceat(self.cost, np.searchsorted(self.at, least))
+        for place in np.argsort(cost, kind="stable")[: taken.shape[1] + 1 if further else 0]:
+            unused = np.all(self.at[taken] != least[place], axis=1)
+            found = np.where(unused, np.minimum(found, cost[place]), found)
+        return np.asarray(found)
 
 
 class CoveringRows:
@@ -70,7 +88,6 @@ class CoveringRows:
         self.sample_of = -np.ones(problem.steps, dtype=int)
         self.sample_of[self.at] = np.arange(self.at.size)
         self.columns = self.at.size + (0 if self.whole else int(problem.allowed.sum()))
-        self._choices: dict[tuple[float, int], list[tuple[Index, Mask]] | None] = {}
 
     @cached_property
     def cost(self) -> Array:
@@ -133,64 +150,33 @@ class CoveringRows:
         fewer += [np.floor(b[row] / A[row, 0] * (1 + TIE)) for row in self.limits]
         return int(min(fewer)) if fewer else -1
 
-    def choices(self, below: float, most: int = MOST_CHOICES) -> list[tuple[Index, Mask]] | None:
-        """All choices below a cost that nothing can join, by their number of samples; None if beyond `most`.
-
-        Steps (B, k) and what is measured there (B, k, p), one of those that are turns of each other: each begins within
-        what repeats of the times that are allowed, and that are asked for. Spacings and uses are left aside.
-        """
-        if (below, most) not in self._choices:
-            self._choices[below, most] = self._all_choices(below, most)
-        return self._choices[below, most]
-
-    def _all_choices(self, below: float, most: int) -> list[tuple[Index, Mask]] | None:
-        """The same, gone through."""
-        problem, room = self.problem, below * (1 - TIE)
-        if 2.0**self.used.size > most:
-            return None
+    @cached_property
+    def turn(self) -> int:
+        """By so many steps a choice may be turned: what is allowed, and asked for, repeats."""
+        problem = self.problem
         asked = [problem.allowed, *(problem.ends(g)[:, None] for g in range(len(problem.goals)))]
-        turns = range(1, problem.steps + 1)
-        turn = next(s for s in turns if all(np.array_equal(np.roll(a, s, axis=0), a) for a in asked))
-        readings = [self._readings(mask) for mask in problem.allowed[self.at]]
-        visits = sorted((min(cost for cost, _ in each), i) for i, each in enumerate(readings))
-        found, left = dict[int, tuple[list[Index], list[Mask]]](), most * SMALLER
-        stack: list[tuple[float, tuple[tuple[int, Mask], ...]]] = [(0.0, ())]
-        while stack:
-            cost, taken = stack.pop()
-            at = [i for i, _ in taken]
-            full = len(taken) >= problem.most_samples
-            if taken and not self._has_room(room - cost, taken, [] if full else visits):
-                steps, masks = found.setdefault(len(taken), ([], []))
-                steps.append(self.at[at])
-                masks.append(np.array([mask for _, mask in taken]))
-                most -= 1
-            last = 0 if full else self.at.size if taken else int(np.searchsorted(self.at, turn))
-            places = range(at[-1] + 1 if taken else 0, last)
-            more = [(cost + c, (*taken, (i, mask))) for i in places for c, mask in readings[i] if cost + c < room]
-            stack += more
-            left -= len(more)
-            if most < 0 or left < 0:
-                return None
-        return [(np.array(steps), np.array(masks)) for steps, masks in found.values()]
+        return next(
+            s for s in range(1, problem.steps + 1) if all(np.array_equal(np.roll(a, s, axis=0), a) for a in asked)
+        )
 
-    def _readings(self, allowed: Mask) -> list[tuple[float, Mask]]:
-        """What a sample may measure, and its cost: what is free is measured in any case."""
-        problem, priced = self.problem, np.flatnonzero(allowed & (self.problem.price > 0))
-        visit, found = 1.0 if problem.counts else problem.visit, list[tuple[float, Mask]]()
-        for taken in product((False, True), repeat=priced.size):
-            mask = allowed & (problem.price == 0)
-            mask[priced] = taken
-            if mask.any():
-                found.append((visit + float(problem.price @ mask), mask))
-        return found
-
-    def _has_room(self, room: float, taken: tuple[tuple[int, Mask], ...], visits: list[tuple[float, int]]) -> bool:
-        """Whether one measurement more costs less than this."""
-        used = {i for i, _ in taken}
-        if next((cost for cost, i in visits if i not in used), np.inf) < room:
-            return True
-        left = [self.problem.allowed[self.at[i]] & ~mask for i, mask in taken]
-        return min((float(self.problem.price[more].min()) for more in left if more.any()), default=np.inf) < room
+    @cached_property
+    def readings(self) -> Readings | None:
+        """What a sample may measure at each step, and its cost; None where that is too much to be looked at."""
+        problem, visit = self.problem, 1.0 if self.problem.counts else self.problem.visit
+        if self.at.size * 2.0**self.used.size > MOST_CHOICES:
+            return None
+        found = list[tuple[int, Mask, float, float]]()
+        for step in self.at.tolist():
+            allowed = problem.allowed[step]
+            priced = np.flatnonzero(allowed & (problem.price > 0))
+            for taken in product((False, True), repeat=priced.size):
+                mask = allowed & (problem.price == 0)
+                mask[priced] = taken
+                if mask.any():
+                    more = float(problem.price[allowed & ~mask].min(initial=np.inf))
+                    found.append((step, mask, visit + float(problem.price @ mask), more))
+        at, masks, cost, more = zip(*found, strict=True)
+        return Readings(np.array(at), np.array(masks), np.array(cost), np.array(more))
 
     @property
     def dearest(self) -> float:

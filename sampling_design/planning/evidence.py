@@ -8,12 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sampling_design.planning.adversary_program import forced_response
-from sampling_design.planning.covering import CoveringProgram, CoveringRows, Key, proven
+from sampling_design.planning.covering import (
+    MOST_CHOICES,
+    SMALLER,
+    TIE,
+    CoveringProgram,
+    CoveringRows,
+    Key,
+    Readings,
+    proven,
+)
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,18 +80,68 @@ class CostProof:
     judged: bool = False
 
 
-def open_choices(covering: CoveringRows, grid_filter: GridFilter, level: float, below: float) -> list[Mask] | None:
+def open_choices(
+    covering: CoveringRows, grid_filter: GridFilter, level: float, below: float, most: int = MOST_CHOICES
+) -> list[Mask] | None:
     """Those of all choices below a cost that the filter does not find beyond a level; None where they are too many.
 
     More measurements leave no more unknown, so that those that nothing can join stand for all: none proves the cost.
+    Spacings and uses are left aside, and of choices that are turns of each other one is looked at.
     """
-    choices, found = covering.choices(below), list[Mask]()
-    if choices is None:
+    kept = None if covering.readings is None else _kept(covering, covering.readings, grid_filter, level, below, most)
+    if kept is None:
         return None
-    for at, read in choices:
+    found = list[Mask]()
+    for at, read in kept:
         for k in np.flatnonzero(~grid_filter.beyond(at, read, level)):
             found.append(np.zeros_like(covering.problem.allowed))
             found[-1][at[k]] = read[k]
+    return found
+
+
+def _kept(
+    covering: CoveringRows, readings: Readings, grid_filter: GridFilter, level: float, below: float, most: int
+) -> list[tuple[Index, Mask]] | None:
+    """Choices that nothing can join but those whose beginnings leave too much unknown; None where they are too many.
+
+    Steps (B, k) and what is measured there (B, k, p). A beginning is followed with what is unknown at least, since all
+    that is allowed was measured before it: then a gap lasts too long, or what may still be paid cannot close the period
+    with gaps that do not. Where all turns are alike the longest gap comes first.
+    """
+    problem, room, alike = covering.problem, below * (1 - TIE), covering.turn == 1
+    cheapest = float(readings.cost.min())
+    least, every = grid_filter.least, np.arange(problem.steps)
+    longest = int(grid_filter.lasting(every, grid_filter.measured(least, problem.allowed), level).max())
+    begun = np.flatnonzero((readings.at < covering.turn) & (readings.cost < room))
+    taken, P = begun[:, None], grid_filter.measured(least[readings.at[begun]], readings.measured[begun])
+    found, count = list[tuple[Index, Mask]](), 0
+    for k in range(1, problem.steps + 1):
+        at, left = readings.at[taken], room - readings.cost[taken].sum(axis=1)
+        gap, whole = grid_filter.lasting(at[:, -1], P, level), at[:, 0] + problem.steps - at[:, -1]
+        first = gap if k == 1 else at[:, 1] - at[:, 0]
+        gap = np.minimum(gap, first) if alike else gap
+        more = np.full(len(at), min(problem.most_samples, problem.steps) - k)
+        if cheapest > 0:
+            more = np.minimum(more, np.floor(left / cheapest + TIE))
+        live = gap + more * np.minimum(longest, first if alike else longest) >= whole
+        taken, P, at, left, gap, whole = (each[live] for each in (taken, P, at, left, gap, whole))
+        count += len(taken)
+        if count > most or grid_filter.work.over:
+            return None
+        done = (whole <= gap) & (readings.joins(taken, k < problem.most_samples) >= left)
+        found.append((at[done], readings.measured[taken[done]]))
+        start, stop = (np.searchsorted(readings.at, at[:, -1] + d, "right") for d in (np.zeros(1, int), gap))
+        size = (stop - start) * (k < problem.most_samples)
+        if not size.any():
+            return found
+        if size.sum() > most * SMALLER:
+            return None
+        of = np.repeat(np.arange(len(taken)), size)
+        then = np.arange(of.size) - np.repeat(np.cumsum(size) - size, size) + start[of]
+        paid = readings.cost[then] < left[of]
+        of, then = of[paid], then[paid]
+        taken = np.column_stack([taken[of], then])
+        P = grid_filter.measured(grid_filter.after(P[of], readings.at[then] - at[of, -1]), readings.measured[then])
     return found
 
 

@@ -9,6 +9,8 @@ below it everywhere: it bounds what any choice can reach, and asks every choice 
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from sampling_design.numerics.filtering import propagate
@@ -27,6 +29,8 @@ TANGENT_PERIODS = 40  # the same for a tangent, whose steps are kept
 BEYOND = 1e120  # a covariance that is larger is as good as infinite
 ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more periods are followed
 BEYOND_LEVEL = 1e-6  # share by which a variance is above a level at least where that counts as proven: rounding
+PARTS = 4  # of a step, at whose ends what a gap leaves unknown is looked at
+ENTRIES = 4_000_000  # numbers that are looked at together, about
 MOST_REACH = 1e9  # what is known no better than this many tolerances is not known
 
 
@@ -79,37 +83,101 @@ class GridFilter:
 
         Proven: from nothing unknown on, any period that does refutes. Goals just after samples are not looked at.
         """
-        M, n, k = len(self.problem.allowed), self.discrete.n, at.shape[1]
-        flow, noise = [np.eye(n)], [np.zeros((n, n))]
-        for _ in range(M):
-            flow.append(self.F @ flow[-1])
-            noise.append(propagate(noise[-1], self.F, self.Q))
-        F, Q, gaps = np.array(flow), np.array(noise), np.diff(at, append=at[:, :1] + M)
-        goals = [g for g, goal in enumerate(self.problem.goals) if goal.stochastic and not own(goal)]
-        rows = [self.rows[g] / self.problem.goals[g].tolerance for g in goals]
-        wanted = [self._wanted(self.problem.goals[g], np.zeros((1, M, 1), dtype=bool))[0] for g in goals]
+        M, n, k = self.problem.steps, self.discrete.n, at.shape[1]
+        gaps = np.diff(at, append=at[:, :1] + M)
         found, left, P, last = np.zeros(len(at), dtype=bool), np.arange(len(at)), np.zeros((len(at), n, n)), np.zeros(1)
         for _ in range(PERIODS):
-            self.work.add((M * FILTER[0], FILTER[1]), len(left) * k * n)
-            worst, ahead = np.zeros(len(left)), np.arange(1, M + 1)
+            worst = np.zeros(len(left))
             for j in range(k):
-                for h, mask in zip(self.discrete.S, read[left, j].T, strict=True):
-                    Ph = P @ h
-                    P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
-                gap, then = gaps[left, j], (at[left, j, None] + ahead) % M
-                for row, when in zip(rows, wanted, strict=True):
-                    later = row @ F[1:]
-                    values = np.sum((P @ later.T) * later.T, axis=1) + np.sum((row @ Q[1:]) * row, axis=1)
-                    values = np.where(when[then] & (ahead <= gap[:, None]), values, 0.0)
-                    worst = np.maximum(worst, values.max(axis=1))
-                P = propagate(P, F[gap], Q[gap])
-            found[left] = worst > level**2 * (1 + BEYOND_LEVEL)
+                P = self.measured(P, read[left, j])
+                worst = np.maximum(worst, self._ahead(at[left, j], P)[np.arange(left.size), gaps[left, j] - 1])
+                P = self.after(P, gaps[left, j])
+            found[left] = worst > self._exceeds(level)
             if self.work.over or (worst.shape == last.shape and np.all(worst <= last * (1 + SETTLED))):
                 break
             left, P, last = left[~found[left]], P[~found[left]], worst[~found[left]]
             if not left.size or np.abs(P).max() > BEYOND:
                 break
         return found
+
+    def lasting(self, at: Index, P: Array, level: float) -> Index:
+        """Steps (B,) that no sample need come after those at `at` that leave at least P (B, n, n), M at most.
+
+        Proven: a gap that lasts longer leaves a goal above the level, whatever was measured before and will be.
+        """
+        return np.asarray(np.sum(self._ahead(at, P) <= self._exceeds(level), axis=1))
+
+    def measured(self, P: Array, read: Mask) -> Array:
+        """Covariances (B, n, n) after samples that `read` (B, p)."""
+        for h, mask in zip(self.discrete.S, read.T, strict=True):
+            Ph = P @ h
+            P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
+        return P
+
+    def after(self, P: Array, gap: Index) -> Array:
+        """The same so many steps (B,) later."""
+        F, Q = self._gaps
+        return propagate(P, F[gap], Q[gap])
+
+    @cached_property
+    def least(self) -> Array:
+        """Covariances (M, n, n) before samples that no choice is below: all that is allowed was measured before."""
+        M, n = self.problem.steps, self.discrete.n
+        P, before, last = np.zeros((1, n, n)), np.zeros((M, n, n)), np.zeros((M, n, n))
+        for _ in range(PERIODS):
+            self.work.add((M * FILTER[0], FILTER[1]), M * n)
+            for i in range(M):
+                before[i] = P[0]
+                P = self.after(self.measured(P, self.problem.allowed[i : i + 1]), np.array([1]))
+            if self.work.over or np.abs(before - last).max() <= SETTLED * np.abs(before).max():
+                break
+            if np.abs(before).max() > BEYOND:
+                return last
+            last = before.copy()
+        return before
+
+    @cached_property
+    def _gaps(self) -> tuple[Array, Array]:
+        """F and Q (M + 1, n, n) over so many steps."""
+        n = self.discrete.n
+        flow, noise = [np.eye(n)], [np.zeros((n, n))]
+        for _ in range(self.problem.steps):
+            flow.append(self.F @ flow[-1])
+            noise.append(propagate(noise[-1], self.F, self.Q))
+        return np.array(flow), np.array(noise)
+
+    def _exceeds(self, level: float) -> float:
+        return level**2 * (1 + BEYOND_LEVEL)
+
+    @cached_property
+    def _looks(self) -> list[tuple[Array, Array]]:
+        """Of each goal, at PARTS times of every step ahead: its row (M s, n) there, and what noise adds (M s,)."""
+        F, Q = (each[:-1] for each in self._gaps)
+        parts = np.arange(1, PARTS + 1) / PARTS * self.discrete.step
+        flow, noise = discounted_flow(self.discrete.A, self.discrete.N @ self.discrete.N.T, parts)
+        found = list[tuple[Array, Array]]()
+        for g, goal in enumerate(self.problem.goals):
+            row, first = self.rows[g] / goal.tolerance, 0 if goal.at == "all times" else PARTS - 1
+            later = row @ flow[first:]
+            added = np.einsum("si,mij,sj->ms", later, Q, later) + row @ noise[first:] @ row
+            found.append(((later @ F).reshape(-1, len(row)), added.ravel()))
+        return found
+
+    def _ahead(self, at: Index, P: Array) -> Array:
+        """The largest variance (B, M) of a goal, in its tolerance, so many steps from `at` on and before."""
+        M, n = self.problem.steps, self.discrete.n
+        found, few = np.zeros((len(at), M)), max(1, ENTRIES // (M * PARTS * n))
+        self.work.add(FILTER, len(at) * n)
+        for g, goal in enumerate(self.problem.goals):
+            if not goal.stochastic or own(goal):
+                continue
+            wanted, (later, added) = self._wanted(goal, np.zeros((1, M, 1), dtype=bool))[0], self._looks[g]
+            for of in (slice(b, b + few) for b in range(0, len(at), few)):
+                values = np.sum((later @ P[of]) * later, axis=2) + added
+                when = wanted[(at[of, None] + np.arange(1, M + 1)) % M]
+                most = values.reshape(len(values), M, -1).max(axis=2)
+                found[of] = np.maximum(found[of], np.where(when, most, 0.0))
+        return np.maximum.accumulate(found, axis=1)
 
     def worst(self, chosen: Mask) -> Array:
         """Ratios (B, goals) of standard deviation to tolerance, 0 for goals of the other kind."""

@@ -13,9 +13,9 @@ from scipy.linalg import expm
 import sampling_design as sd
 from tests.cases import few
 
-STEPS, PERIODS, NOISE = 5, 40, 0.1
+STEPS, QUARTERS, PERIODS, NOISE = 5, 4, 40, 0.1
 ROUNDING = 1e-6
-BETWEEN = 0.02  # how much larger deviations may be between steps of the grid, or by the search's margin
+BETWEEN = 0.02  # how much larger deviations may be between quarters of steps, or by the search's margin
 
 
 def every_choice():
@@ -25,16 +25,17 @@ def every_choice():
 
 
 def deviations(A, C, intensity, step, choices):
-    """Largest standard deviation of each state just before a step (B, n), by the plain filter from nothing known."""
+    """Largest standard deviation of each state at quarters of steps (B, n), by the plain filter from nothing known."""
     n = len(A)
-    joint = expm(np.block([[-A, intensity * np.eye(n)], [np.zeros((n, n)), A.T]]) * step)
+    joint = expm(np.block([[-A, intensity * np.eye(n)], [np.zeros((n, n)), A.T]]) * step / QUARTERS)
     F = joint[n:, n:].T
     P, Q = np.tile(1e4 * np.eye(n), (len(choices), 1, 1)), F @ joint[:n, n:]
     for _ in range(PERIODS):
         worst = np.zeros((len(choices), n))
         for measured in np.moveaxis(choices, 1, 0):
-            P = F @ P @ F.T + Q
-            worst = np.maximum(worst, np.diagonal(P, axis1=1, axis2=2))
+            for _ in range(QUARTERS):
+                P = F @ P @ F.T + Q
+                worst = np.maximum(worst, np.diagonal(P, axis1=1, axis2=2))
             for c, taken in zip(C, measured.T, strict=True):
                 gain = P @ c / (np.einsum("i,bij,j->b", c, P, c) + NOISE**2)[:, None]
                 P = P - taken[:, None, None] * gain[:, :, None] * np.einsum("i,bij->bj", c, P)[:, None, :]

@@ -1,7 +1,7 @@
 """Law: what windows that follow each sample see in the mean, weighed by the gaps, is below the bound by gaps."""
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from math import comb
 
 import numpy as np
@@ -46,20 +46,23 @@ def reached(problem, times):
     return sigma_of_moved(problem, times, problem.mask(times))
 
 
-def least_of_mixture(A, C, window, gaps):
+def least_of_mixture(A, C, window, gaps, known=1):
     """Sigma that windows (s, s + T] after each sample s have in the mean of all orders of two gaps (length, how many).
 
-    Windows before the one gap are taken together, and those before the other.
+    Windows before which the first `known` gaps are the same are taken together.
     """
-    least = np.inf
-    for (first, count), (other, rest) in (gaps, gaps[::-1]):
-        after = np.full((comb(count + rest - 1, rest), count + rest), first)
-        for order, places in zip(after, combinations(range(1, count + rest), rest), strict=True):
-            order[list(places)] = other
-        r = np.cumsum(after, axis=1).ravel()
-        lags, counts = np.unique(np.round(r[r <= window * (1 + 1e-12)], 12), return_counts=True)
+    least, (lengths, counts) = np.inf, zip(*gaps, strict=True)
+    for begun in product((0, 1), repeat=known):
+        first, second = (count - begun.count(kind) for kind, count in enumerate(counts))
+        if min(first, second) < 0:
+            continue
+        kinds = np.zeros((comb(first + second, second), known + first + second), dtype=int)
+        for order, places in zip(kinds, combinations(range(known, kinds.shape[1]), second), strict=True):
+            order[:known], order[list(places)] = begun, 1
+        r = np.cumsum(np.array(lengths)[kinds], axis=1).ravel()
+        lags, often = np.unique(np.round(r[r <= window * (1 + 1e-12)], 12), return_counts=True)
         rows = C @ expm(A * lags[:, None, None])
-        mean = np.einsum("t,tpi,tpj->ij", counts / len(after), rows, rows)
+        mean = np.einsum("t,tpi,tpj->ij", often / len(kinds), rows, rows)
         least = min(least, float(np.linalg.eigvalsh(mean)[0]))
     return np.sqrt(least)
 
@@ -94,13 +97,17 @@ def test_every_schedule_is_below_its_mean_and_that_below_the_bound(number):
     assert least <= np.sqrt(mean_after_samples(A, C, drawn[1], period, window, part.starts, part.weights))
 
 
-def test_no_bound_by_gaps_comes_within_eight_percent_of_four_outputs_of_twenty_states():
-    """The problem of `docs/design_bounds.md`: what such a bound leaves open there, whatever its multipliers."""
+@pytest.mark.parametrize(("known", "short", "left", "share"), [(1, 0.512, 2.568, 0.92), (2, 0.54, 2.527, 0.936)])
+def test_no_bound_by_gaps_comes_near_four_outputs_of_twenty_states(known, short, left, share):
+    """The problem of `docs/design_bounds.md`: what such bounds leave open, whatever their multipliers.
+
+    Of those that are weighed by the next gap alone, as here, and by the next two.
+    """
     plant, requirement = PROBLEMS["20 of 40 states, 4 outputs"]
-    part, T, short = split_for(plant, requirement).retained, requirement.window, 0.512
-    mixed = least_of_mixture(part.A, part.C, T, [(short, 5), (T / 5 - short, 5)])
-    assert mixed == pytest.approx(2.568, abs=5e-4)
-    assert 0.92 * mixed > 2.3625  # than which no search found more
+    part, T = split_for(plant, requirement).retained, requirement.window
+    mixed = least_of_mixture(part.A, part.C, T, [(short, 5), (T / 5 - short, 5)], known)
+    assert mixed == pytest.approx(left, abs=5e-4)
+    assert share * mixed > 2.3625  # than which no search found more
 
 
 @pytest.mark.parametrize("number", few(range(6), 1, 3))

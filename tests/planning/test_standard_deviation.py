@@ -15,7 +15,15 @@ from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import plan_robustness
-from sampling_design.planning.evidence import EASED, PlanBound, gathered, resimulated, trajectory_of, trajectory_to_dict
+from sampling_design.planning.evidence import (
+    EASED,
+    PlanBound,
+    gathered,
+    open_choices,
+    resimulated,
+    trajectory_of,
+    trajectory_to_dict,
+)
 from sampling_design.planning.files import read_plan
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.plan_record import deviation_of, without_limits
@@ -267,14 +275,13 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
     assert not replace(found, reached=found.reached * 0.99).verify()
 
 
-def worst_on_the_grid(problem, steps):
-    """The worst of the grid's steps just before their samples, by the plain filter."""
-    at, given = np.array(steps) * problem.step, problem.requirement
-    ends = np.arange(problem.steps) * problem.step
-    before = np.mod(ends - 2e-3, problem.period)
-    seen, noise = problem.allowed[list(steps)], problem.v_deviation
+def worst_of_quarters(problem, chosen):
+    """The worst just before quarters of the grid's steps, by the plain filter."""
+    (steps,), given = np.nonzero(chosen.any(axis=1)), problem.requirement
+    before = np.mod(np.arange(4 * problem.steps) * problem.step / 4 - 2e-3, problem.period)
     row, w, (A, C) = problem.goals[0].row, np.broadcast_to(given.w_intensity, 2), (OSCILLATOR.A, OSCILLATOR.C)
-    return oracle.deviation(A, C, np.eye(2), at, seen, problem.period, row, before, w, noise).max()
+    noise, at = problem.v_deviation, steps * problem.step
+    return oracle.deviation(A, C, np.eye(2), at, chosen[steps], problem.period, row, before, w, noise).max()
 
 
 HOURS = {"Mon-Sun": [["07:00", "19:00"]]}
@@ -286,15 +293,21 @@ def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more):
     asked = {**ONE, "sensors": TERMS} if not more else {**ONE, "period": 48.0, "grid": 4.0}
     problem = pose_plan(plant, sd.PlanRequirement({"position": goal(0.3)}, **asked, **more))
     covering, grid_filter = CoveringRows(problem, fixed=problem.is_free), GridFilter(problem, discretize(problem))
-    ((choices, read),) = covering.choices(2.5 * covering.cost.max(), 1000)
-    turns = {tuple(sorted((steps + s) % problem.steps)) for steps in choices for s in range(problem.steps)}
-    assert turns >= set(combinations(covering.at.tolist(), 2))
-    assert read.all() == problem.allowed.any(axis=1).all()
-    assert covering.choices(2.5 * covering.cost.max(), len(choices) - 1) is None
-    for k in range(0, len(choices), max(1, len(choices) // 6)):
-        worst = worst_on_the_grid(problem, choices[k].tolist()) / 0.3
-        assert grid_filter.beyond(choices[k : k + 1], read[k : k + 1], worst * (1 - 3e-3)).all()
-        assert not grid_filter.beyond(choices[k : k + 1], read[k : k + 1], worst * (1 + 3e-3)).any()
+    below, worst = 2.5 * covering.cost.max(), {}
+    for pair in combinations(covering.at.tolist(), 2):
+        if pair[0] < covering.turn:
+            chosen = np.zeros_like(problem.allowed)
+            chosen[list(pair)] = problem.allowed[list(pair)]
+            worst[pair] = worst_of_quarters(problem, chosen) / 0.3
+    values = np.unique(np.round(list(worst.values()), 6))
+    for level in [values[0] / 2, *np.sqrt(values[1:] * values[:-1])[::3], values[-1] * 2]:
+        kept = open_choices(covering, grid_filter, level, below)
+        turns = [np.nonzero(np.roll(each, s, axis=0).any(axis=1)) for each in kept for s in range(problem.steps)]
+        found = {tuple(steps.tolist()) for (steps,) in turns}
+        assert {pair for pair, value in worst.items() if value < level} == found & set(worst)
+        assert all(np.array_equal(each, each.any(axis=1)[:, None] & problem.allowed) for each in kept)
+    assert len(kept) > 1
+    assert open_choices(covering, grid_filter, level, below, most=len(kept) - 1) is None
 
 
 def test_what_costs_less_is_judged_choice_by_choice_and_a_forged_cost_is_not_believed(found, tmp_path):

@@ -171,11 +171,11 @@ class CostProver:
         enough = more * (1 - 1e-9)
         if known > 0:
             best = self.least_cost(known, more, keys, decide=True)
-            if best.value >= enough:
+            if best.value >= enough and not best.judged:
                 return best
-            best, high = None, known
+            best, low, high = (best, known, high) if best.value >= enough else (None, 0.0, known)
         ratio, trajectory, end = self.pool.against(self.covering.problem.allowed)
-        if trajectory is not None:  # one that nothing shows proves its level alone
+        if best is None and trajectory is not None:  # one that nothing shows proves its level alone
             place = next(a for a, each in enumerate(self.pool.trajectories) if each is trajectory)
             proof = self.least_cost(ratio * BELOW, more, [(place, end)], decide=True, ask=False)
             best, low = (proof, proof.level) if proof.value >= enough else (None, 0.0)

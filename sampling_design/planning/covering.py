@@ -175,8 +175,8 @@ class CoveringRows:
                 if mask.any():
                     more = float(problem.price[allowed & ~mask].min(initial=np.inf))
                     found.append((step, mask, visit + float(problem.price @ mask), more))
-        at, masks, cost, more = zip(*found, strict=True)
-        return Readings(np.array(at), np.array(masks), np.array(cost), np.array(more))
+        at, measured, cost, joins = zip(*found, strict=True)
+        return Readings(np.array(at), np.array(measured), np.array(cost), np.array(joins))
 
     @property
     def dearest(self) -> float:

@@ -11,6 +11,12 @@ import pytest
 from scipy.linalg import expm
 
 import sampling_design as sd
+from sampling_design.planning.bounds import CostProver
+from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.discrete_plant import discretize
+from sampling_design.planning.filter_deviation import GridFilter
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories
+from sampling_design.records.budget import Budget
 from tests.cases import few
 
 STEPS, QUARTERS, PERIODS, NOISE = 5, 4, 40, 0.1
@@ -73,3 +79,8 @@ def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
     assert plan.bound.cost.value == least
     assert plan.status == "complete"
     assert plan.verify()
+    problem = plan.problem
+    covering, grid_filter = CoveringRows(problem, fixed=problem.is_free), GridFilter(problem, discretize(problem))
+    pool = HiddenTrajectories(STEPS, [problem.ends(g) for g in range(len(problem.goals))])
+    prover = CostProver(covering, pool, Budget(counted=True), None, grid_filter)
+    assert prover.least_cost(1.0, float(costs.max())).value == least  # as much as is true, where more is asked

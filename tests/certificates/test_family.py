@@ -299,7 +299,7 @@ def test_rows_of_a_long_schedule_are_kept_without_their_zeros(monkeypatch):
 
 
 def test_a_family_is_certified_in_whatever_unit_its_outputs_are():
-    family = Jitter(PeriodicSchedule([1.0]), 0.05)
+    family = LostSamples(PeriodicSchedule([0.7]), 1, 3)
     fine = sd.certify(Plant(OSCILLATOR.A, 1e6 * OSCILLATOR.C), family, eta=0.8)
     assert "noise as large as what disturbances of 1 do to an output" in fine.explain()
     R = fine.R * 1e12  # of the same noise, in the unit of the oscillator's output
@@ -310,7 +310,7 @@ def test_a_family_is_certified_in_whatever_unit_its_outputs_are():
 def test_the_undecided_without_bounds_say_that_units_were_weighed():
     units = np.diag([1e9, 1e-9])
     far = Plant(units @ OSCILLATOR.A @ np.diag([1e-9, 1e9]), OSCILLATOR.C @ np.diag([1e-9, 1e9]))
-    one = Jitter(PeriodicSchedule([1.0]), 0.05)
+    one = Jitter(PeriodicSchedule([1.0]), 0.0)
     with pytest.raises(
         UndecidedError, match="noise of 1 count alike: give w_bound, v_bound and initial_error"
     ) as caught:

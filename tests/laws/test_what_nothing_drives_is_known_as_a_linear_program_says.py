@@ -48,7 +48,7 @@ def test_what_nothing_drives_is_known_as_a_linear_program_says(name, gaps, unit,
     steps = np.array(GAPS[gaps])
     plant, made = sd.Plant(A, [c]), counted(monkeypatch)
     found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule(steps), w_bound=0.0, v_bound=0.1 * unit, of="x1")
-    assert made[0].solves <= MOST
+    assert [search.solves <= MOST for search in made] == [True] * (name != "decaying")
     assert found.closed.all()
     assert found.verify()
     before = np.cumsum(np.tile(steps[::-1], 400 // steps.size))
@@ -64,9 +64,9 @@ def test_what_nothing_drives_is_known_as_a_linear_program_says(name, gaps, unit,
             worst = max(worst, undriven(A, [c], ages + d, row, 0.1 * unit))
     below, above = float(found.lower[0]), float(found.upper[0])
     assert below <= worst * (1 + 1e-6)
-    if name in ("decaying", "defective"):
-        assert above <= 1e-4 * unit
-        assert "0: nothing was attained" in found.explain()
+    if name in ("decaying", "defective"):  # an endless past leaves nothing
+        assert below == above == 0.0
+        assert "x1 within 0 (none less than 0)" in found.explain()
     else:
         assert worst <= above * 1.02  # with 400 samples, where for ever is meant
         assert above <= worst * 1.02

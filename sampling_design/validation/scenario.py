@@ -160,6 +160,9 @@ def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[ErrorSource
         if value.imag < 0:
             continue
         along = np.conj(row @ plant.G)
+        sizes = np.abs(along) * bounds.w
+        first = along[int(np.argmax(sizes))] if sizes.any() else 1.0
+        along = along * (np.abs(first) / first)  # an eigenvector has any phase: that of the entry that moves it most
         for phase in (0.0, np.pi / 2) if value.imag > 0 else (0.0,):
             raw = np.real(np.exp(1j * (value.imag * middles + phase))[:, None] * along)
             if bounds.w.ndim == 0:

@@ -34,7 +34,7 @@ from sampling_design.validation.scenario import (
     norm_of,
     resonant_inputs,
 )
-from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
+from sampling_design.validation.timeline import GAPS_TO_SETTLE, Timeline, build_timeline, default_duration
 from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
 
 Seeds = Sequence[np.random.SeedSequence]
@@ -214,6 +214,10 @@ class ValidationStudy:
         self._judge("resonant disturbance", trials)
         if self.line.times[-1] < SETTLED * self.horizon:
             self.skipped.append("growth under a resonant disturbance: the schedule ends within three horizons.")
+            return
+        if self.certificate is None and self.line.samples.size < GAPS_TO_SETTLE:
+            few = f"{self.line.samples.size} samples, without a certificate it settles in {GAPS_TO_SETTLE}."
+            self.skipped.append(f"growth under a resonant disturbance: {few}")
             return
         grown, limit = growth(trials.size, self.line.rows.times), GROWTH_LIMIT["resonant"]
         at = int(np.argmax(grown))

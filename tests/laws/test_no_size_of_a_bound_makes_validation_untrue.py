@@ -20,6 +20,7 @@ from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.trials import EstimatedRun, true_run
 from tests.cases import few
+from tests.rescale import Units
 
 SIZES = [0.0, 0.0, 1e-12, 1e-6, 1.0, 1.0, 1e6, 1e12]
 SCENARIOS = ("random", "worst", "initial", "constraints")
@@ -53,6 +54,34 @@ def report_of(seed):
 def test_every_promise_is_kept_whatever_the_bounds(seed):
     report = report_of(seed)
     assert report.passed, [(check.claim, check.scenario, check.observed, check.note) for check in report.broken]
+
+
+@pytest.mark.parametrize("seed", few(range(12), 9))
+def test_units_change_nothing_that_is_observed(seed):
+    plant, schedule, given = drawn(seed)
+    rng = np.random.default_rng(seed)
+    units = Units.drawn(rng, plant)
+    sizes = {"w_bound": units.disturbances, "v_bound": units.outputs, "initial_error": units.states}
+    bounds = {name: rng.uniform(0.1, 1.0, factor.size) for name, factor in sizes.items()}
+    there = {name: bound * sizes[name] for name, bound in bounds.items()}
+    options = {"runs": 2, "rng": seed, "scenarios": ("random", "resonant", "worst", "initial")}
+    one, other = (
+        sd.validate(
+            each,
+            times,
+            horizon=2.0 * unit,
+            cost=CostFunction(eta=0.2 / unit, arrival=given["cost"].arrival),
+            **at,
+            **options,
+        )
+        for each, times, unit, at in (
+            (plant, schedule, 1.0, bounds),
+            (units.plant(plant), units.schedule(schedule), units.time, there),
+        )
+    )
+    assert len(one.checks) >= 4
+    for here, far in zip(one.checks, other.checks, strict=True):
+        assert far.observed == pytest.approx(here.observed, rel=1e-5, abs=1e-9), (here.claim, here.scenario)
 
 
 def test_growth_beyond_all_numbers_is_neither_kept_nor_broken():
@@ -121,6 +150,8 @@ def test_growth_is_judged_only_where_it_can_have_settled():
     report = sd.validate(plant, sd.Schedule([0.3, 0.9]), estimator=sd.KalmanFilter(plant), runs=1, **bounds)
     assert not [check for check in report.checks if check.claim == "error does not grow"]
     assert "growth of the error (resonant): 2 samples, it settles in 40." in report.skipped
+    own = sd.validate(plant, sd.Schedule([0.3, 0.9]), horizon=0.2, runs=1, scenarios=["resonant"], **bounds)
+    assert "2 samples, without a certificate it settles in 40." in own.skipped[-1]
 
 
 if __name__ == "__main__":

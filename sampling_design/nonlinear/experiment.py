@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from sampling_design.nonlinear.functions import casadi
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, SolverRun
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.report import PatientRun, ThyroidReport
-from sampling_design.nonlinear.simulation import simulate
+from sampling_design.nonlinear.simulation import Integrator, simulate
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.file_io import from_json, read_text, write_text
@@ -62,8 +63,8 @@ def paper_weights() -> CostFunction:
 
 
 @lru_cache(maxsize=8)
-def _tools(case: str, degree: int = DEGREE) -> tuple[NonlinearPlant, NonlinearMovingHorizonEstimator]:
-    """The plant of a case and one estimator, built once a process and used for both schemes."""
+def _tools(case: str, degree: int = DEGREE) -> tuple[NonlinearPlant, NonlinearMovingHorizonEstimator, Integrator]:
+    """The plant of a case, one estimator for both schemes, and its open loop between samples; built once a process."""
     plant = model.thyroid(**CASES[case])
     scheme = NonlinearMovingHorizonEstimator(
         plant,
@@ -72,7 +73,7 @@ def _tools(case: str, degree: int = DEGREE) -> tuple[NonlinearPlant, NonlinearMo
         collocation=Collocation(STEP, degree, round(HORIZON / STEP), accuracy=None),
         cost=paper_weights(),
     )
-    return plant, scheme
+    return plant, scheme, Integrator(plant, points=GAPS[1])
 
 
 def patient_run(
@@ -91,7 +92,7 @@ def patient_run(
     """
     checks.word("case", case, CASES)
     steps = _grid_steps(days)
-    plant, scheme = _tools(case, checks.whole("degree", degree, 1))
+    plant, scheme, loop = _tools(case, checks.whole("degree", degree, 1))
     rng = np.random.default_rng([checks.whole("seed", seed), checks.whole("run", run)])
     times = checks.freeze(STEP * np.arange(steps + 1))
     w = rng.uniform(-1.0, 1.0, (times.size, 2)) * model.PROCESS_BOUND
@@ -103,7 +104,7 @@ def patient_run(
         at += int(rng.integers(GAPS[0], GAPS[1] + 1))
     truth = simulate(plant, model.TRUE_START, times, w=w)
     y = truth[:, [1, 2, 4]] + v
-    found = [_estimates(scheme, times, y, chosen) for chosen in (np.ones(times.size, dtype=bool), sampled)]
+    found = [_estimates(scheme, loop, times, y, chosen) for chosen in (np.ones(times.size, dtype=bool), sampled)]
     (standard, dense), (sparse, rare) = found
     return PatientRun(
         case=case,
@@ -120,19 +121,18 @@ def patient_run(
 
 
 def _estimates(
-    scheme: NonlinearMovingHorizonEstimator, times: Array, y: Array, chosen: Mask
+    scheme: NonlinearMovingHorizonEstimator, loop: Integrator, times: Array, y: Array, chosen: Mask
 ) -> tuple[Array, tuple[SolverRun, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
     scheme.start(model.PRIOR_START)
-    step, nothing = scheme.search.integrator.step, np.zeros(scheme.plant.n_inputs)
-    still = np.zeros(scheme.plant.n_disturbances)
-    estimates: list[Array] = []
-    for k, use in enumerate(chosen.tolist()):
-        if use or not estimates:
-            estimates.append(scheme.update(times[k], y[k]).x if use else scheme.predict(times[k]).x)
-        else:  # what `predict` gives, without its covariance and not from the last sample on each time
-            estimates.append(step(estimates[-1], nothing, still, times[k - 1], times[k]))
-    return np.array(estimates), tuple(scheme.solves)
+    nothing, still = np.zeros(scheme.plant.n_inputs), np.zeros(scheme.plant.n_disturbances)
+    estimates, at = np.empty((times.size, scheme.plant.n_states)), [*np.flatnonzero(chosen).tolist(), times.size]
+    for k, following in pairwise(at):
+        estimates[k] = x = scheme.update(times[k], y[k]).x
+        if following > k + 1:  # what `predict` gives, without its covariance and all at once
+            path = loop.path(x, nothing, still, times[k], times[k] + GAPS[1] * STEP)
+            estimates[k + 1 : following] = path[: following - k - 1]
+    return estimates, tuple(scheme.solves)
 
 
 @checked

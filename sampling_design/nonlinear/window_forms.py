@@ -12,6 +12,8 @@ from sampling_design.records.arrays import Array
 if TYPE_CHECKING:
     from casadi import Function
 
+PARTS = 4  # lengths for which a window's functions are mapped: while it fills, less is evaluated; each takes memory
+
 
 class WindowData(NamedTuple):
     """One window of K intervals in scaled coordinates; row j of nodes lies at `edges[j]`.
@@ -123,16 +125,28 @@ class WindowFunctions:
         weigh, both = ca.SX.sym("weigh", n), ca.vertcat(x, w)
         value = rate(x, w, u, t)
         parts = [value, ca.jacobian(value, both), ca.hessian(ca.dot(weigh, value), both)[0]]
-        inside = ca.Function("inside", [x, w, u, t, weigh], [ca.densify(part) for part in parts])
-        self._inside = _PaddedMap(inside.map(capacity * points.size), capacity * points.size)
+        self._inside = ca.Function("inside", [x, w, u, t, weigh], [ca.densify(part) for part in parts])
         arguments = [ca.SX.sym(f"a{k}", node.size1_in(k)) for k in range(node.n_in())]
         cost, outputs = node(*arguments)
         bend, gradient = ca.hessian(cost, ca.vertcat(*arguments[:2]))
         parts = [cost, gradient, bend, outputs, ca.jacobian(outputs, arguments[0])]
-        at_node = ca.Function("at_node", arguments, [ca.densify(part) for part in parts])
-        self._at_node = _PaddedMap(at_node.map(capacity + 1), capacity + 1)
+        self._at_node = ca.Function("at_node", arguments, [ca.densify(part) for part in parts])
         self.sizes = n, q, node.size1_in(1), node.size1_out(1)
-        self._riccati = _PaddedMap(_riccati(n + 1, q, capacity + 1), capacity + 1)
+        self._mapped: dict[int, tuple[_PaddedMap, _PaddedMap, _PaddedMap]] = {}
+
+    def _maps(self, K: int) -> tuple[_PaddedMap, _PaddedMap, _PaddedMap]:
+        """What maps Radau points, nodes and the recursion of `eliminated`: for K intervals rounded up to a quarter."""
+        quarters = max(-(-PARTS * K // self.capacity), 1)
+        found = self._mapped.get(quarters)
+        if found is None:
+            most, (n, q, _, _) = -(-quarters * self.capacity // PARTS), self.sizes
+            within, nodes = most * self.points.size, most + 1
+            found = self._mapped[quarters] = (
+                _PaddedMap(self._inside.map(within), within),
+                _PaddedMap(self._at_node.map(nodes), nodes),
+                _PaddedMap(_riccati(n + 1, q, nodes), nodes),
+            )
+        return found
 
     def eliminated(self, over: Array, interval: Array, at: Array) -> tuple[Array, Array]:
         """Minimise over w from the last node to the first: what lies ahead costs at least, and the gains of w.
@@ -146,7 +160,7 @@ class WindowFunctions:
         ahead, own = np.zeros((K + 1, one, both)), np.zeros((K + 1, both, both))
         ahead[1:], own[1:], own[0] = over[::-1], interval[::-1], np.eye(both)
         own[0, :one, :one] = 0.0  # nothing lies ahead of the last node
-        values, gains = self._riccati(ahead, own, at[::-1])
+        values, gains = self._maps(K)[2](ahead, own, at[::-1])
         gains = gains.reshape(K + 1, one, both - one).transpose(0, 2, 1)
         return values.reshape(K + 1, one, one)[::-1], gains[:0:-1]
 
@@ -160,7 +174,8 @@ class WindowFunctions:
         t = data.edges[:-1, None] + h[:, None] * self.points
         w = np.broadcast_to(point.w[:, None], (K, d, q))
         weigh = -h[:, None, None] * multipliers
-        rate, slope, curve = self._inside(point.z, w, u, t, weigh)
+        map_inside, map_nodes, _ = self._maps(K)
+        rate, slope, curve = map_inside(point.z, w, u, t, weigh)
         nodes = np.concatenate([point.z0[None], point.z[:, -1]])
         along = np.einsum("kjn,ji->kin", np.concatenate([nodes[:-1, None], point.z], axis=1), self._along)
         slope = slope.reshape(K, d, n + q, n).transpose(0, 1, 3, 2)
@@ -171,7 +186,7 @@ class WindowFunctions:
         inside[:, each, :, each] -= (h[:, None, None, None] * slope[..., :n]).transpose(1, 0, 2, 3)
         by_w = -h[:, None, None] * slope[..., n:].reshape(K, d * n, q)
         root, fit, v = (columns[key].reshape(N + 1, -1)[N - K :] for key in ("root", "fit", "v"))
-        cost, gradient, bend, outputs, H = self._at_node(nodes, point.v, data.inputs, data.edges, data.y, root, fit, v)
+        cost, gradient, bend, outputs, H = map_nodes(nodes, point.v, data.inputs, data.edges, data.y, root, fit, v)
         return LocalForms(
             rows=along - h[:, None, None] * rate.reshape(K, d, n),
             inside=inside.reshape(K, d * n, d * n),

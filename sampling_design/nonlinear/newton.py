@@ -262,6 +262,7 @@ class _QuadraticModel:
         self.node = np.zeros((K + 1, one + r, one + r))
         self.node[np.ix_(range(K + 1), kept, kept)] = forms.bend
         self.node[:, n, kept] = self.node[:, kept, n] = forms.gradient
+        self._free: tuple[Array, Array] | None = None  # gains of v, and what nodes cost, while no v is at its bound
 
     def least(self, active: ActiveBounds, barrier: tuple[Array, ...] = ()) -> QuadraticMinimum | None:
         """Return where the value is least with what is active at its bound; None where it is nowhere.
@@ -338,23 +339,23 @@ class _QuadraticModel:
         """Minimise over what is free from the last node to the first; None (or LinAlgError) if there is no minimum."""
         n = self.point.z0.size
         one, window = n + 1, self.window
-        w_map, w_moves = self._toward_bounds("w", active.w, one)
-        v_map, v_moves = self._toward_bounds("v", active.v, one)
+        w_moves, v_moves = self._to_bounds("w", active.w), self._to_bounds("v", active.v)
         over, interval, node = self.over, self.interval, self.node
-        if w_moves.any() or active.w.any():
-            over, interval = over @ w_map, w_map.transpose(0, 2, 1) @ interval @ w_map
-            each = np.arange(one, over.shape[2])
-            interval[:, each, each] += active.w != 0
-        if v_moves.any() or active.v.any():
-            node = v_map.transpose(0, 2, 1) @ node @ v_map
-            each = np.arange(one, node.shape[2])
-            node[:, each, each] += active.v != 0
+        if active.w.any():
+            over, interval = _at_bounds(over, active.w, w_moves), _both_at_bounds(interval, active.w, w_moves)
+        held = bool(active.v.any())
+        if held:
+            node = _both_at_bounds(node, active.v, v_moves)
         if barrier:
             steep_w, steep_v, linear_w, linear_v = barrier
             interval, node = _bent(interval, n, steep_w, linear_w), _bent(node, n, steep_v, linear_v)
-        np.linalg.cholesky(node[:, one:, one:])
-        v_gains = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
-        at = node[:, :one, :one] - node[:, :one, one:] @ v_gains
+        condensed = None if held or barrier else self._free
+        if condensed is None:
+            np.linalg.cholesky(node[:, one:, one:])
+            v_gains = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
+            condensed = v_gains, node[:, :one, :one] - node[:, :one, one:] @ v_gains
+            self._free = self._free if held or barrier else condensed
+        v_gains, at = condensed
         values, w_gains = window.functions.eliminated(over, interval, at)
         P, start = values[0], 2 * window.root.T @ window.root
         if not np.isfinite(P).all():
@@ -363,18 +364,13 @@ class _QuadraticModel:
         _, first, trouble = lapack.dposv(P[:n, :n] + start, slope)
         return None if trouble else CondensedModel(over, values, w_gains, v_gains, w_moves, v_moves, -first)
 
-    def _toward_bounds(self, key: str, side: Array, one: int) -> tuple[Array, Array]:
-        """Return the map of what is free to (dx, 1, d) with what is active moved to its bound, and that move."""
+    def _to_bounds(self, key: str, side: Array) -> Array:
+        """Return how far what is active is from its bound, 0 for what is free."""
         low, high, value = (getattr(part, key) for part in (self.window.lower, self.window.upper, self.point))
-        count, size = side.shape
         go = np.zeros(side.shape)
         up, down = side > 0, side < 0
         go[up], go[down] = (high - value)[up], (low - value)[down]
-        into = np.zeros((count, one + size, one + size))
-        into[:, range(one), range(one)] = 1.0
-        into[:, range(one, one + size), range(one, one + size)] = side == 0
-        into[:, one:, one - 1] = go
-        return into, go
+        return go
 
     def whole(self, found: QuadraticMinimum) -> tuple[ProgramPoint, Array]:
         """Return the moves of all unknowns, and the multipliers of the rows."""
@@ -390,6 +386,22 @@ class _QuadraticModel:
 
 def _flat(w: Array, v: Array) -> Array:
     return np.concatenate([w.ravel(), v.ravel()])
+
+
+def _at_bounds(forms: Array, side: Array, moves: Array) -> Array:
+    """Return L T for (K, m, one + q) forms L of (dx, 1, d): T moves what is active to its bound and keeps it there."""
+    found, one = forms.copy(), forms.shape[2] - side.shape[1]
+    found[:, :, one - 1] += products(forms[:, :, one:], moves)
+    found[:, :, one:] *= (side == 0)[:, None]
+    return found
+
+
+def _both_at_bounds(forms: Array, side: Array, moves: Array) -> Array:
+    """Return T'MT for symmetric M, which weighs what is kept at its bound by 1."""
+    found = _at_bounds(_at_bounds(forms, side, moves).transpose(0, 2, 1), side, moves)
+    each = np.arange(forms.shape[2] - side.shape[1], forms.shape[2])
+    found[:, each, each] += side != 0
+    return found
 
 
 def _bent(forms: Array, n: int, steep: Array, linear: Array) -> Array:

@@ -75,6 +75,21 @@ def test_a_saddle_is_no_solution():
     assert solution.iterations == 1
 
 
+def test_what_is_at_its_bound_is_moved_there_and_kept():
+    """Against the map itself: a free entry stays, one at its bound is its move, times the 1 before it."""
+    rng = np.random.default_rng(2)
+    L, M, side = rng.normal(size=(3, 3, 6)), rng.normal(size=(3, 6, 6)), np.array([[1, 0], [0, -1], [0, 0]])
+    M, moves, T = M + M.transpose(0, 2, 1), rng.normal(size=(3, 2)) * (side != 0), np.zeros((3, 6, 6))
+    for k, i in product(range(3), range(4)):
+        T[k, i, i] = 1.0
+    for k, i in product(range(3), range(2)):
+        T[k, 4 + i, 4 + i], T[k, 4 + i, 3] = side[k, i] == 0, moves[k, i]
+    kept = np.array([np.diag([0, 0, 0, 0, *row]) for row in side != 0])
+    np.testing.assert_allclose(newton._at_bounds(L, side, moves), L @ T, atol=1e-14)
+    expected = T.transpose(0, 2, 1) @ M @ T + kept
+    np.testing.assert_allclose(newton._both_at_bounds(M, side, moves), expected, atol=1e-14)
+
+
 def test_what_is_not_finite_is_not_near():
     scheme = estimator()
     edges = np.arange(3.0)

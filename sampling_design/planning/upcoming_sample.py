@@ -51,9 +51,8 @@ class NextSample(Record):
         Time that has passed since the start of the plan [the plant's time unit], as all times here; `date` names it.
     latest : float
         With the sensors `outputs`, at this very time (`explain` says "by" where any before it will do); after it the
-        plan's own times follow. The next allowed time after it was found too late, or lies a period ahead; one further
-        on may do again. Where no time keeps every tolerance from now on: that after which they are all kept again
-        soonest. -inf: none is known.
+        plan's own times follow. The next allowed time was found too late; one further on may do again. Where no time
+        keeps every tolerance from now on: that after which they are all kept again soonest. -inf: none is known.
     outputs : tuple of str
     alone : dict of str to float
         For each sensor of the plan, the latest time if that sensor is all that is read then.
@@ -74,8 +73,7 @@ class NextSample(Record):
     kept_from : float
         From when on every tolerance is kept: `now`, unless one cannot be; inf where nothing is known.
     exceeded : GoalDeadline or None
-        The goal that is above its tolerance now, the first look on the grid since which every look found it so, and how
-        far; what is above between looks alone is not seen.
+        The goal that is above its tolerance now, since which look on the grid without a break, and how far.
     known : dict of str to float
         How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
     judged_until : float

@@ -13,6 +13,7 @@ from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.information import information_curve
+from sampling_design.certificates.exact.retained_part import search_units
 from sampling_design.certificates.exact.riccati import supremum
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.errors import SamplingDesignError
@@ -65,6 +66,27 @@ def test_given_weights(seed):
     curves = information_curve(here, start=0.0), information_curve(there, start=0.0)
     assert curves[1].t == pytest.approx(units.time * curves[0].t, rel=EXACT)
     assert curves[1].least == pytest.approx(curves[0].least, rel=EXACT)
+
+
+@pytest.mark.parametrize("finite", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_weights_are_sought_in_the_same_units(seed, finite):
+    """Of a finite schedule nothing settles: its windows begin with the balanced sizes, which know no units either."""
+    plant, schedule, rng = case(seed)
+    units, weights = Units.drawn(rng, plant), weights_of(plant, None, None, None)
+    moved = weights._replace(
+        Qw=units.disturbance_weight(weights.Qw), **dict.fromkeys(("R", "Qv"), units.output_weight(weights.R))
+    )
+    times = schedule.between(0.0, 4.0) if finite else schedule
+    found = [
+        search_units(*problem, (canonical(*problem).time * eta,) * 2)[0].plant
+        for *problem, eta in (
+            (plant, times, weights, 0.3),
+            (units.plant(plant), units.schedule(times), moved, 0.3 / units.time),
+        )
+    ]
+    for key in "ACG":
+        assert getattr(found[1], key) == pytest.approx(getattr(found[0], key), rel=EXACT, abs=EXACT)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

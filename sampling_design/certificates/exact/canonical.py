@@ -68,16 +68,20 @@ def canonical(
     """
     Qw, R, Qv = weights
     gaps = schedule.gaps if schedule.gaps.size else np.asarray(schedule.times)
-    time = float(_power(np.log2(float(np.mean(gaps)))))
+    mean = np.log2(float(np.mean(gaps)))
+    time = float(_power(mean))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
-        w = _power(-(np.log2(np.diagonal(Qw)) + np.log2(time)) / 2)
-        y = _power(-np.maximum(np.log2(np.diagonal(R)), np.log2(np.diagonal(Qv))) / 2)
+        log_w = -(np.log2(np.diagonal(Qw)) + mean) / 2
+        log_y = -np.maximum(np.log2(np.diagonal(R)), np.log2(np.diagonal(Qv))) / 2
+        w, y = _power(log_w), _power(log_y)
         A, C, G = time * plant.A, plant.C / y[:, None], time * plant.G * w
         if P2 is not None:
             logs = -np.log2(np.diagonal(P2)) / 2
-        else:
-            inputs = G if driven else 0 * G
-            logs = _balanced(A, C, inputs, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
+        elif log_sizes is not None:
+            logs = log_sizes
+        else:  # in units that are no powers of two, which would leave something of the caller's in the sizes
+            even = plant.A * np.exp2(mean), plant.C / np.exp2(log_y)[:, None], plant.G * np.exp2(mean + log_w) * driven
+            logs = _balanced(*even, np.log2(plant.states.scales))
         x = _power(logs)
         A, C, G = A * x / x[:, None], C * x, G / x[:, None]
         inner = NoiseWeights(time * Qw * w * w[:, None], R * y * y[:, None], Qv * y * y[:, None])
@@ -114,7 +118,8 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
         even = cut(old.gaps / time)
         schedule = PeriodicSchedule(even, min(float(cut(old.first / time)), float(np.sum(even))), outputs=old.outputs)
     else:
-        schedule = Schedule(old.times / time, old.outputs)  # cut, far times would lose their gaps
+        each = cut(np.diff(old.times, prepend=0.0) / time)  # cut themselves, far times would lose their gaps
+        schedule = Schedule(np.cumsum(each), old.outputs)
     weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
     kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
     return ScaledProblem(

@@ -20,6 +20,7 @@ from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
+from sampling_design.certificates.exact.window_gains import LATER
 from sampling_design.certificates.form.claims import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import long_run, one_period
@@ -118,7 +119,7 @@ class PreciseWindows:
         """Y in the middle and at the end of gaps in the long run; finite: along the windows from P2^-1 = `prior`."""
         with precision(BITS):
             covariances = [floats(Y) for Y in self._later(2)]
-            if self.steady is None or self.times.first > self.times.gaps[0]:
+            if self.steady is None or self.times.first > self.times.gaps[0] * (1 + LATER):
                 X = matrix(prior if self.steady is None else 0 * prior)
                 covariances += [floats(Y) for i, r, _ in self.starts(1) for Y in self._window(X, i, r, 2)]
         return np.array(covariances)

@@ -18,6 +18,7 @@ from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.numerics.linalg import eigenvalue_bound
 from sampling_design.records.arrays import Array, Index, Mask
 
+LATER = 1e-9  # share of its gap by which a first sample is later than in the rhythm, and not by rounding of its time
 MERGED = 1e-3  # a window this near the periodic solution, relative to it or to P2^-1, is followed no further
 MOST_WINDOWS, FEWER = 48, 20  # windows of one set, of plants with at most FOUR states and of larger ones
 FOUR = 4
@@ -104,7 +105,8 @@ class WindowSet:
 
         A first sample that comes later than in the rhythm has windows that rise above the long run even from zero.
         """
-        if self.problem.period is not None and not self.problem.times[0] > self.problem.gaps[0]:
+        late = self.problem.times[0] > self.problem.gaps[0] * (1 + LATER)
+        if self.problem.period is not None and not late:
             return self.cycle
         Y, _, valid = self._paths(prior if self.steady is None else np.zeros_like(prior), gains=False)
         return np.concatenate([self.cycle, Y[valid]])

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers import strict
-from sampling_design.checkers.strict import is_flag, is_list, is_number, is_text, is_whole, likely
+from sampling_design.checkers.strict import is_flag, is_list, is_number, is_table, is_text, is_whole, likely
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Mask
 
@@ -68,8 +68,10 @@ def freeze(array: object) -> Array:
 def bound(name: str, value: object, length: int) -> Array:
     """Return a bound on a vector: a number (0-d array), on its Euclidean norm, or a number for each entry.
 
-    Raises ArgumentError if it is negative, not finite, or of another length.
+    Raises ArgumentError if it is negative, not finite, of another length, or goes by names.
     """
+    if is_table(value):
+        raise ArgumentError(f"`{name}` must be a number or a list of {length} numbers, got {described(value)}.")
     if dimensions(value) == 0:
         return np.asarray(nonnegative(name, value))
     entries = vector(name, value, length)

@@ -92,22 +92,30 @@ def lines_of(
     header = [str(name) for name in frame.columns]
     dates = [k for k, name in enumerate(frame.columns) if _kind(frame[name]) == "M"]
     stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
-    if isinstance(frame, _PandasFrame) and not stamps and (stamp := _stamp_of(frame.index, alone=not dates)):
-        frame, header, stamps = frame.rename_axis(stamp).reset_index(), [stamp, *header], [-1]
-    elif isinstance(frame, _PandasFrame) and not stamps and not dates:
-        kind = getattr(frame.index, "dtype", "unknown")
-        raise FileFormatError(
-            f"the frame: has no column `time` or `date`, and its index of {kind} says no times.", file_io.FRAME
-        )
-    for name in frame.columns:
-        if isinstance(frame, _PandasFrame) and str(name).lower() in STAMPS and _kind(frame[name]) == "m":
-            seconds = np.asarray(frame[name]) / np.timedelta64(1, "s")
-            frame = frame.assign(**{str(name): seconds / SECONDS[plant.time_unit]})
+    if isinstance(frame, _PandasFrame):
+        frame, header, stamps = _stamped(frame, header, stamps, dates, plant.time_unit)
     for k in dates if stamps or len(dates) == 1 else ():
         header[k] = "date" if k in stamps or not stamps else header[k]
     first = io.StringIO()
     csv.writer(first, lineterminator="", quoting=csv.QUOTE_ALL).writerow(header)
     return file_io.FRAME, chain([first.getvalue()], islice(_lines(_text(frame)), 1, None))
+
+
+def _stamped(
+    frame: _PandasFrame, header: list[str], stamps: list[int], dates: list[int], unit: str
+) -> tuple[_PandasFrame, list[str], list[int]]:
+    """The frame with its times in a column, spans of time as numbers of `unit`."""
+    if not stamps and (stamp := _stamp_of(frame.index, alone=not dates)):
+        frame, header, stamps = frame.rename_axis(stamp).reset_index(), [stamp, *header], [-1]
+    elif not stamps and not dates:
+        kind = getattr(frame.index, "dtype", "unknown")
+        raise FileFormatError(
+            f"the frame: has no column `time` or `date`, and its index of {kind} says no times.", file_io.FRAME
+        )
+    for name in [name for name in frame.columns if str(name).lower() in STAMPS and _kind(frame[name]) == "m"]:
+        seconds = np.asarray(frame[name]) / np.timedelta64(1, "s")
+        frame = frame.assign(**{str(name): seconds / SECONDS[unit]})
+    return frame, header, stamps
 
 
 def _name_of(series: Series, plant: MeasuredPlant) -> object:

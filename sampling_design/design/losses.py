@@ -188,7 +188,7 @@ def sample_losses(
     lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
     times, left = design.schedule.times, None if given.over else design.deviations
     unit, coordinates = design.schedule.time_unit, design.coordinates
-    return SampleLosses(times, design.sigma, lower, upper, bound, every_period, unit, left, coordinates)
+    return SampleLosses(times, design.sigma, lower, upper, bound, every_period, unit, left, coordinates=coordinates)
 
 
 @checked

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numbers
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, fields
-from inspect import isclass
+from inspect import isclass, signature
 from typing import Any, TypeAlias, TypeGuard, TypeVar, get_args
 
 import numpy as np
@@ -56,6 +56,33 @@ _OTHERS = {
 ELSEWHERE = {word: ours.split() for ours, theirs in _OTHERS.items() for word in theirs.split()}
 """What other packages, and the field, call an argument that has another name here; the likeliest of ours first."""
 strict.ELSEWHERE.update(ELSEWHERE)  # keys of files are told, too
+
+
+def takes(function: Callable[..., object], count: int) -> bool:
+    """Whether a function can be called with so many arguments; one that does not tell is trusted."""
+    try:
+        signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # written in C, without a signature
+        return True
+    return True
+
+
+def unmet_protocol(kind: object) -> Callable[[object], str]:
+    """What says which methods of a protocol a value has not, or not with these arguments; "" of any other class."""
+    own = vars(kind) if getattr(kind, "_is_protocol", False) else {}
+    methods = {key: [*signature(does).parameters][1:] for key, does in own.items() if key[0] != "_"}
+
+    def unmet(value: object) -> str:
+        if value is None:
+            return ""
+        if missing := [f"`{key}`" for key in methods if not hasattr(value, key)]:
+            return f" It has no {' and no '.join(missing)}."
+        wrong = (key for key, names in methods.items() if not takes(getattr(value, key), len(names)))
+        return next((f" Its `{key}` does not take ({', '.join(methods[key])})." for key in wrong), "")
+
+    return unmet
 
 
 def freeze(array: object) -> Array:

@@ -23,7 +23,7 @@ import numpy as np
 
 from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import described, is_unicode, meant, of_file
+from sampling_design.records.checks import described, is_unicode, meant, of_file, takes, unmet_protocol
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -359,24 +359,15 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
             return of_file(name, value)  # type: ignore[arg-type]
         for _, take in kinds:
             taken = take(name, value)
-            if taken is not _NO and not lacking(value):
+            if taken is not _NO and not unmet(value):
                 return taken
         seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
         likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
-        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely or lacking(value)}")
+        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely or unmet(value)}")
 
     asked = [kind for kind in _classes(hint) if kind is not type(None)]
-    alone = vars(asked[0]) if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else {}
-    methods = {k: [*inspect.signature(v).parameters][1:] for k, v in alone.items() if k[0] != "_" and callable(v)}
-
-    def lacking(value: object) -> str:
-        """What the protocol asks for, where one is all that is asked for, and this has not."""
-        if value is None:
-            return ""
-        if missing := [f"`{key}`" for key in methods if not hasattr(value, key)]:
-            return f" It has no {' and no '.join(missing)}."
-        wrong = (key for key, names in methods.items() if not _takes(getattr(value, key), len(names)))
-        return next((f" Its `{key}` does not take ({', '.join(methods[key])})." for key in wrong), "")
+    alone = asked[0] if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else object
+    unmet = unmet_protocol(alone)
 
     return check
 
@@ -416,7 +407,7 @@ def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]] | 
         if not isinstance(asked, list):
             return [("a function", lambda _, v: v if callable(v) else _NO)]
         words = f"a function of {len(asked)} argument{'s' if len(asked) > 1 else ''}"
-        return [(words, lambda _, v: v if callable(v) and _takes(v, len(asked)) else _NO)]
+        return [(words, lambda _, v: v if callable(v) and takes(v, len(asked)) else _NO)]
     if kind is os.PathLike:
         return [("a path", lambda _, v: v if _path(v) else _NO)]
     if isinstance(kind, type) and kind in _HELD:
@@ -463,17 +454,6 @@ def _instance(kind: type) -> tuple[str, Callable[[str, object], object]]:
         return _NO if maker is None else _ForeignSystem(maker, value)
 
     return label, take
-
-
-def _takes(function: Callable[..., object], count: int) -> bool:
-    """Whether a function can be called with so many arguments; one that does not tell is trusted."""
-    try:
-        inspect.signature(function).bind(*range(count))
-    except TypeError:
-        return False
-    except ValueError:  # written in C, without a signature
-        return True
-    return True
 
 
 def _among(value: object, allowed: tuple[object, ...]) -> bool:

@@ -334,7 +334,7 @@ def test_dates_of_a_frame_are_times_though_all_of_them_are_midnights():
         ("time,time_until,gauge,flow,pump\n2,1,1,,0\n", "line 2 ends before it begins: '1'"),
         ("time,time_until,gauge,flow,pump\n0,,1,,0\n1,2,1,,3\n", "changes an input at a time that is not known"),
         ("time,time_until,gauge,gauge_since,flow,pump\n0,,1,,,0\n1,2,1,0.5,,\n", "holds a mean, whose end must"),
-        ("time,date_until,gauge,flow,pump\n1,2,1,,0\n", "unknown key"),
+        ("time,date_until,gauge,flow,pump\n1,2,1,,0\n", "Take a column that is neither out; the plant names"),
     ],
 )
 def test_a_row_whose_time_is_not_known_is_refused_in_a_sentence(tmp_path, text, words):

@@ -389,8 +389,10 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
         known = [stamps[0], stamps[0] + UNTIL, *wanted, *(name + SINCE for name in plant.outputs.names)]
         checks.known_keys("the header", header, known)
     except ArgumentError as error:
-        slip = f" Take a column that is neither out; the plant names {', '.join(wanted)}."
-        raise FileFormatError(f"{where}: {error}{slip}", where) from None
+        names = ", ".join(wanted)
+        raise FileFormatError(
+            f"{where}: {error} Take a column that is neither out; the plant names {names}.", where
+        ) from None
     return stamps[0]
 
 

@@ -83,6 +83,14 @@ class GridFilter:
 
         Proven: from nothing unknown on, any period that does refutes. Goals just after samples are not looked at.
         """
+        found = np.zeros(len(at), dtype=bool)
+        for whole in (True, False):  # steps alone refute most, for less
+            left = np.flatnonzero(~found)
+            found[left] = self._beyond(at[left], read[left], level, whole)
+        return found
+
+    def _beyond(self, at: Index, read: Mask, level: float, whole: bool) -> Mask:
+        """The same, at whole steps alone or within them too."""
         M, n, k = self.problem.steps, self.discrete.n, at.shape[1]
         gaps = np.diff(at, append=at[:, :1] + M)
         found, left, P, last = np.zeros(len(at), dtype=bool), np.arange(len(at)), np.zeros((len(at), n, n)), np.zeros(1)
@@ -90,7 +98,7 @@ class GridFilter:
             worst = np.zeros(len(left))
             for j in range(k):
                 P = self.measured(P, read[left, j])
-                worst = np.maximum(worst, self._ahead(at[left, j], P)[np.arange(left.size), gaps[left, j] - 1])
+                worst = np.maximum(worst, self._ahead(at[left, j], P, whole)[np.arange(left.size), gaps[left, j] - 1])
                 P = self.after(P, gaps[left, j])
             found[left] = worst > self._exceeds(level)
             if self.work.over or (worst.shape == last.shape and np.all(worst <= last * (1 + SETTLED))):
@@ -163,7 +171,7 @@ class GridFilter:
             found.append(((later @ F).reshape(-1, len(row)), added.ravel()))
         return found
 
-    def _ahead(self, at: Index, P: Array) -> Array:
+    def _ahead(self, at: Index, P: Array, whole: bool = False) -> Array:
         """The largest variance (B, M) of a goal, in its tolerance, so many steps from `at` on and before."""
         M, n = self.problem.steps, self.discrete.n
         found, few = np.zeros((len(at), M)), max(1, ENTRIES // (M * PARTS * n))
@@ -172,6 +180,8 @@ class GridFilter:
             if not goal.stochastic or own(goal):
                 continue
             wanted, (later, added) = self._wanted(goal, np.zeros((1, M, 1), dtype=bool))[0], self._looks[g]
+            if whole:
+                later, added = later.reshape(M, -1, n)[:, -1], added.reshape(M, -1)[:, -1]
             for of in (slice(b, b + few) for b in range(0, len(at), few)):
                 values = np.sum((later @ P[of]) * later, axis=2) + added
                 when = wanted[(at[of, None] + np.arange(1, M + 1)) % M]

@@ -255,15 +255,13 @@ def _record(
     """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
     edges = _edges(question, None if finder is None else finder.system, next(iter(found.values()), None))
-    lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
-    closed, offsets, known_from = np.ones(count, dtype=bool), np.zeros(count), np.full(count, np.inf)
-    at_samples = np.full((count, len(times)), np.inf)
-    below, above = np.full((2, count, edges.size - 1), np.inf)
+    unknown = np.inf if known.lift.shape[1] or known.modes else 0.0  # what decays and nothing drives leaves nothing
+    lower, upper, worst = np.full(count, unknown), np.full(count, unknown), np.full(count, times[0])
+    closed, offsets = np.ones(count, dtype=bool), np.zeros(count)
+    known_from = np.full(count, np.inf if unknown else -np.inf)
+    at_samples = np.full((count, len(times)), unknown)
+    below, above = np.full((2, count, edges.size - 1), unknown)
     witnesses: list[AccuracyWitness | None] = [None] * count
-    if not known.lift.shape[1] and not known.modes:  # nothing drives what decays: nothing is left of any start
-        for zero in (lower, upper, at_samples, below, above):
-            zero[:] = 0.0
-        known_from[:] = -np.inf
     proof: tuple[GapProof, ...] = ()
     for done, (k, search) in enumerate(found.items()):
         assert finder is not None

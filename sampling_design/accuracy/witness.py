@@ -348,9 +348,9 @@ def _within(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWit
     witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
     value, excess = attains(witness, question.bounds, question.initial)
     witness = witness.within(excess, value)
-    for turn in range(1, SHRUNK):  # a smaller one is simulated anew, and other rounding closes its gaps
+    for k in range(1, SHRUNK):  # a smaller one is simulated anew, and other rounding closes its gaps
         value, excess = attains(witness, question.bounds, question.initial)
         if excess <= 1 + KEPT / 2 or not witness.value:
             return replace(witness, value=value)
-        witness = witness.within(1 + (excess - 1) * 2.0**turn, value)
+        witness = witness.within(1 + (excess - 1) * 2.0**k, value)
     return witness.within(np.inf, 0.0)

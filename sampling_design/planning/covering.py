@@ -53,7 +53,7 @@ class CoveringProgram:
         return float(2.0 ** np.floor(np.log2(np.min(self.c[self.c > 0], initial=np.inf)))) if self.c.any() else 1.0
 
 
-class Readings(NamedTuple):
+class SampleChoices(NamedTuple):
     """What one sample may measure: what is free in any case. By steps."""
 
     at: Index  # (R,)
@@ -151,8 +151,8 @@ class CoveringRows:
         return int(min(fewer)) if fewer else -1
 
     @cached_property
-    def turn(self) -> int:
-        """By so many steps a choice may be turned: what is allowed, and asked for, repeats."""
+    def repeats_after(self) -> int:
+        """Steps after which what is allowed, and asked for, repeats: a choice may be shifted by them."""
         problem = self.problem
         asked = [problem.allowed, *(problem.ends(g)[:, None] for g in range(len(problem.goals)))]
         return next(
@@ -160,7 +160,7 @@ class CoveringRows:
         )
 
     @cached_property
-    def readings(self) -> Readings | None:
+    def readings(self) -> SampleChoices | None:
         """What a sample may measure at each step, and its cost; None where that is too much to be looked at."""
         problem, visit = self.problem, 1.0 if self.problem.counts else self.problem.visit
         if self.at.size * 2.0**self.used.size > MOST_CHOICES:
@@ -176,7 +176,7 @@ class CoveringRows:
                     more = float(problem.price[allowed & ~mask].min(initial=np.inf))
                     found.append((step, mask, visit + float(problem.price @ mask), more))
         at, measured, cost, joins = zip(*found, strict=True)
-        return Readings(np.array(at), np.array(measured), np.array(cost), np.array(joins))
+        return SampleChoices(np.array(at), np.array(measured), np.array(cost), np.array(joins))
 
     @property
     def dearest(self) -> float:

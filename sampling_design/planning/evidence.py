@@ -15,7 +15,7 @@ from sampling_design.planning.covering import (
     CoveringProgram,
     CoveringRows,
     Key,
-    Readings,
+    SampleChoices,
     proven,
 )
 from sampling_design.planning.discrete_plant import DiscretePlant
@@ -100,7 +100,7 @@ def open_choices(
 
 
 def _kept(
-    covering: CoveringRows, readings: Readings, grid_filter: GridFilter, level: float, below: float, most: int
+    covering: CoveringRows, readings: SampleChoices, grid_filter: GridFilter, level: float, below: float, most: int
 ) -> list[tuple[Index, Mask]] | None:
     """Choices that nothing can join but those whose beginnings leave too much unknown; None where they are too many.
 
@@ -108,11 +108,11 @@ def _kept(
     that is allowed was measured before it: then a gap lasts too long, or what may still be paid cannot close the period
     with gaps that do not. Where all turns are alike the longest gap comes first.
     """
-    problem, room, alike = covering.problem, below * (1 - TIE), covering.turn == 1
+    problem, room, alike = covering.problem, below * (1 - TIE), covering.repeats_after == 1
     cheapest = float(readings.cost.min())
     least, every = grid_filter.least, np.arange(problem.steps)
     longest = int(grid_filter.lasting(every, grid_filter.measured(least, problem.allowed), level).max())
-    begun = np.flatnonzero((readings.at < covering.turn) & (readings.cost < room))
+    begun = np.flatnonzero((readings.at < covering.repeats_after) & (readings.cost < room))
     taken, P = begun[:, None], grid_filter.measured(least[readings.at[begun]], readings.measured[begun])
     found, count = list[tuple[Index, Mask]](), 0
     for k in range(1, problem.steps + 1):

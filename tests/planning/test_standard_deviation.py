@@ -295,7 +295,7 @@ def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more):
     covering, grid_filter = CoveringRows(problem, fixed=problem.is_free), GridFilter(problem, discretize(problem))
     below, worst = 2.5 * covering.cost.max(), {}
     for pair in combinations(covering.at.tolist(), 2):
-        if pair[0] < covering.turn:
+        if pair[0] < covering.repeats_after:
             chosen = np.zeros_like(problem.allowed)
             chosen[list(pair)] = problem.allowed[list(pair)]
             worst[pair] = worst_of_quarters(problem, chosen) / 0.3

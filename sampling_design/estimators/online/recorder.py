@@ -125,8 +125,9 @@ class Recorder:
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)
         return HistoryNode(
-            new.t, new.y, new.mask, new.feedthrough, x, Y, beta, flow, drift, scheduled, sound, estimate, new.sample,
-            last.number + 1, new.limits, limited=limited, held=size, loose=loose, branch=branch,
+            t=new.t, y=new.y, mask=new.mask, feedthrough=new.feedthrough, x=x, Y=Y, beta=beta, flow=flow, drift=drift,
+            scheduled=scheduled, sound=sound, estimate=estimate, sample=new.sample, number=last.number + 1,
+            limits=new.limits, limited=limited, held=size, loose=loose, branch=branch,
         )  # fmt: skip
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:

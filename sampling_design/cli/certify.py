@@ -19,6 +19,7 @@ from sampling_design.cli.estimate import known_bounds
 from sampling_design.cli.options import UNBOUNDED, BoundOptions, CertificateArgument, PlantFile, Rigorous, timing
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.plan_record import Plan
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import positive
 from sampling_design.records.file_io import write_text
@@ -134,16 +135,20 @@ def certify(
         notes += [f"{r.name}: {r.note}" for r in compared.rows if r.note]
     notes.append(certificate.explain())
     if planned is not None and not families:
-        late = planned.problem.timing_tolerance
-        own = f" (the plan lets them be {late.describe(planned.plant.time_unit)})" if late else ""
-        more = "none lost: --timing-tolerance and --lost allow for more."
-        notes.append(f"It is about the plan's samples at their times{own}, {more}")
+        notes.append(_about_the_plan(planned))
     if (folder := settings.folder()) is not None:
         _write(settings, folder, certificate, compared)
         made = folder / "certificate.json"
         notes.append(f"Next: sampling-design verify {made}")
         notes.append(f"Next: sampling-design estimate {plant_file} MEASUREMENTS.csv --certificate {made} -o {folder}")
     settings.show(certificate.to_dict(), record_table(certificate), *notes)
+
+
+def _about_the_plan(planned: Plan) -> str:
+    late = planned.problem.timing_tolerance
+    own = f" (the plan lets them be {late.describe(planned.plant.time_unit)})" if late else ""
+    more = "none lost: --timing-tolerance and --lost allow for more."
+    return f"It is about the plan's samples at their times{own}, {more}"
 
 
 def _detectability(

@@ -66,7 +66,8 @@ class NextChoices:
         problem, step = self.plan.problem, self.plan.problem.step
         read = self.history.times[self.history.measured.any(axis=1)]  # the plan's start alone is no sample
         spaced = float(np.max(read, initial=-np.inf)) + (problem.spacing - 1) * step  # the first may be a step later
-        first = int(np.floor(float(self.clock.clock_time(max(self.now, spaced))) / step + 1e-6)) + 1
+        begun = float(self.history.times[-1]) - step / 2  # nothing is known before: the start itself may be one
+        first = int(np.floor(float(self.clock.clock_time(max(self.now, spaced, begun))) / step + 1e-6)) + 1
         found = []
         for i, t in enumerate(self.clock.elapsed(np.arange(first, first + problem.steps) * step).tolist(), first):
             allowed = self.allowed(i)

@@ -101,6 +101,14 @@ HIDDEN = sd.Plant([[0.0, 0.0], [0.0, -0.05]], [[1.0, 0.0]], states=["a", "b"], o
 """A level, and beside it what no sensor shows and what fades slowly."""
 
 
+def test_no_next_sample_comes_before_the_start(plans):
+    plan = plans["oscillator"]
+    found = sd.next_sample(plan, now=-9 * plan.schedule.period)
+    assert found.latest >= 0 or found.latest == -np.inf
+    assert found.best >= 0
+    assert found.best == sd.next_sample(plan, now=-1e-3).best
+
+
 def fading(error):
     goals = {"a": 0.52, "b": 0.5}
     terms = {"y": {"noise_bound": 0.1}}

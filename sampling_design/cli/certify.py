@@ -28,6 +28,8 @@ from sampling_design.schedules.family import AnySchedule, SamplingFamily
 LEAST_LEFT = 1e-3
 """Seconds that the comparison of horizons is given where the certificate has taken all of them: its row says so."""
 
+OR_A_FAMILY = ", or a family such as --gap-range"
+
 OPTIONS = {
     "gap-range": {"shortest": " A", "longest": " B"},
     "spaced": {"window": " T", "count": " K", "spacing": " E"},
@@ -95,8 +97,7 @@ def certify(
 
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
-    full = files.plant(plant_file)
-    plant = settings.part(full)
+    plant = settings.part(full := files.plant(plant_file))
     given = {"gap-range": gap_range, "spaced": spaced, "timing-tolerance": timing_tolerance, "lost": lost}
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if horizons and (families or detectability):
@@ -111,8 +112,7 @@ def certify(
         _detectability(settings, plant, certificate_file, eta, noise_gain)
         return
     if not families.keys() & {"gap-range", "spaced"}:
-        otherwise = "" if families else ", or a family such as --gap-range"
-        schedule_file = files.schedule_path(plant_file, schedule_file, otherwise)
+        schedule_file = files.schedule_path(plant_file, schedule_file, "" if families else OR_A_FAMILY)
     times, planned = _times(settings, plant, schedule_file, families), files.plan_in(schedule_file)
     bounds = known_bounds(settings, plant, full, bounds, planned)
     budget = Budget(settings.budget)

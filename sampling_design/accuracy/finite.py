@@ -20,7 +20,7 @@ from sampling_design.accuracy.sampled_system import (
 )
 from sampling_design.accuracy.undetectable import ROUNDED, UNOBSERVABLE
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import covariance_root, largest_first, root_update, triangle
+from sampling_design.numerics.filtering import carried, covariance_root, largest_first, root_update, triangle
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
@@ -60,7 +60,7 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
         K = np.asarray(np.linalg.solve(roots[j], K))
         samples.append(MeasurementModel(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
         if j < len(lengths):
-            root = triangle(np.hstack([F[j] @ root, covariance_root(W[j])]))
+            root = carried(root, F[j], covariance_root(W[j]))
     L = np.array(roots)
     table = GapTable(A, G, np.ones(len(A)))
     gaps = tuple(make_gap(table, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))

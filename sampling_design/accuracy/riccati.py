@@ -14,7 +14,7 @@ import numpy as np
 
 from sampling_design.accuracy.undetectable import OTHER_STATES
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, largest_first, root_update, triangle
+from sampling_design.numerics.filtering import CovarianceMap, carried, largest_first, root_update
 from sampling_design.records.arrays import Array
 
 SETTLED = 1e-14  # relative change of a doubled covariance at which it counts as the limit
@@ -91,7 +91,7 @@ class RootedPeriod:
             root, step, _ = root_update(largest_first(root), H, -H @ error)
             error = F @ (error + step)
             after.append(root)
-            root = triangle(np.hstack([F @ root, noise]))
+            root = carried(root, F, noise)
         return after, root, error
 
     def walking(self, noise: Array) -> RootedPeriod:

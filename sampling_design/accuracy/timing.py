@@ -125,6 +125,10 @@ def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart,
 
     New ones look back as far as the filter remembers, whatever the search does for its rows.
     """
+    measured = {i for _, i in search.system.incoming}
+    powers = _powers(question.plant.A) if known.unknown.shape[1] else []
+    if any(known.touches(question.plant.C[i] @ power) for i in measured for power in powers):
+        return np.full_like(question.bounds.v, np.inf)
     own = search.back
     if seek and search.system.start is None:
         search.back = int(np.clip(search.system.memory, search.back, FARTHEST))
@@ -132,11 +136,8 @@ def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart,
     forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
     for (j, i), node in search.system.incoming.items():
-        row = question.plant.C[i]
-        if known.unknown.shape[1] and any(known.touches(row @ power) for power in _powers(question.plant.A)):
-            return np.full_like(g, np.inf)
         sides, table = (float(forward[i]), float(back[i])), tables.setdefault(i, ({}, {}))
-        g[j, i] = sample_adds(search, node, row @ known.lift, sides, table, seek)
+        g[j, i] = sample_adds(search, node, question.plant.C[i] @ known.lift, sides, table, seek)
     search.back = own
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)

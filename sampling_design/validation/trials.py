@@ -29,7 +29,7 @@ def driven(plant: Plant) -> Plant:
 class SimulatedRun:
     """A run's true states (T+1, n), outputs (N, p) with NaN where not measured, and inputs (N+1, n), from 0 and each
     each sample on (None where the plant needs none). The prior is 0: the truth starts at minus the initial error. The
-    states are off by no more than their `rounding` (T+1, n)."""
+    `rounding` (T+1, n) of the states is what all steps until then add up to where nothing grows: at least that."""
 
     states: Array
     rounding: Array

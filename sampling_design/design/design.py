@@ -17,7 +17,7 @@ from sampling_design.design.folding import folded, parts, unfolded
 from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.interrupt import DesignInterrupt
-from sampling_design.design.problem.posing import pose, resolve, split_for
+from sampling_design.design.problem.posing import in_own_unit, pose, resolve, split_for
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.design.search.costs import affordable, relax_costly
@@ -165,7 +165,10 @@ def design_schedule(
         budget=given,
         progress=progress,
     )
-    return _aimed(run) if resolved.target_sigma is not None else run.best()
+    try:
+        return _aimed(run) if resolved.target_sigma is not None else run.best()
+    except InfeasibleRequirementError as error:
+        raise in_own_unit(error, wanted, plant.time_unit) from None
 
 
 def _aimed(run: _DesignRun) -> ScheduleDesign:

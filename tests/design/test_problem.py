@@ -1,5 +1,6 @@
 """Defaults, allowed times, and impossible requirements: what is in the way, and what would work."""
 
+import contextlib
 import re
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import pytest
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.design_problem import DesignProblem
-from sampling_design.design.problem.posing import pose, resolve
+from sampling_design.design.problem.posing import pose, resolve, split_for
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
 from sampling_design.plants.modes import split_modes
 from tests.cases import few
@@ -152,6 +153,45 @@ def test_the_nearest_requirement_works_where_several_constraints_bind(changes, k
     assert keys <= set(caught.value.nearest)
     design = design_schedule(OSCILLATOR, asked.replace(**caught.value.nearest), starts=1, branches=0)
     assert design.verify()
+
+
+def asked_at_random(seed):
+    """A requirement in minutes of a plant in hours; every third has samples that may be early or late."""
+    rng = np.random.default_rng(seed)
+    spans = np.sort(rng.choice(np.arange(0, 241, 5), 4, replace=False)).reshape(2, 2)
+    changes = {
+        "samples": int(rng.integers(1, 5)),
+        "spacing": float(rng.choice([10.0, 60.0, 100.0])),
+        "forbidden": spans[: rng.integers(3)],
+        "fixed": np.sort(rng.choice(np.arange(2, 240, 4), rng.integers(3), replace=False)),
+        "timing_tolerance": [0.0, (1.0, 3.0), 24.0][seed % 3],
+    }
+    changes["timing_tolerance"] = np.minimum(changes["timing_tolerance"], 0.4 * changes["spacing"]).tolist()
+    prices = {"y1": {"price": 2.0}} if rng.random() < 0.5 else {}
+    return Requirement(window=180.0, period=240.0, time_unit="min", sensors=prices, cost_limit=7.0).replace(**changes)
+
+
+@pytest.mark.parametrize("first", few(range(0, 120, 6), 0, 3))
+def test_each_way_that_is_said_to_work_does_in_the_unit_of_the_requirement(first):
+    hourly, ways = Plant(OSCILLATOR.A, OSCILLATOR.C, time_unit="h"), 0
+
+    def posed(asked):
+        split = split_for(hourly, asked)
+        return pose(split.retained, resolve(split, asked).requirement, asked.samples["exactly"])
+
+    for seed in range(first, first + 6):
+        asked = asked_at_random(seed)
+        with contextlib.suppress(InfeasibleRequirementError):
+            posed(asked)
+            continue
+        with pytest.raises(InfeasibleRequirementError, match=r"Times here are in h, as the plant's\.") as caught:
+            design_schedule(hourly, asked)
+        nearest, said = caught.value.nearest, str(caught.value).partition("The nearest that works: ")[2]
+        named = [{key for key in nearest if key in way} for way in said.split(" or ")]
+        for keys in [nearest, *named] if nearest else []:
+            posed(asked.replace(**{key: nearest[key] for key in keys}))
+            ways += 1
+    assert ways > 2
 
 
 def test_times_are_opened_no_more_than_needed():

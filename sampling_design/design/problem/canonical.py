@@ -86,6 +86,7 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
         plant=Plant(cut(plant.A * time), cut(plant.C / size)),
         window=float(windows),
         late=problem.late / time,
+        closest=problem.closest / time,
         period=period,
         spacing=float(spacing - np.ldexp(0.5, int(np.frexp(spacing)[1]) - BITS + 1)),  # never wider than was asked
         forbidden=spans(problem.forbidden),

@@ -40,6 +40,7 @@ class DesignProblem:
     cost_limit: float = np.inf  # of one period
     chosen: Mask | None = None  # (k, p): what each sample measures, where that is decided
     late: float = 0.0  # how early or late each sample may be: by twice that, `window` is shorter than was asked
+    closest: float = 0.0  # how early and late together: nearer to each other samples could change places
 
     @cached_property
     def rows(self) -> ScaledRows:

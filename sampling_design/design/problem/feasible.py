@@ -27,12 +27,15 @@ def check_feasible(problem: DesignProblem) -> None:
     if found is None:
         return
     nearest: Change = {}
+    ways: dict[frozenset[str], str] = {}
     name, obstructed, changes = found
     for change in changes:
         whole = _completed(problem, change)
         if whole is not None and obstacle(changed(problem, {**nearest, **whole})) is None:
             nearest |= whole
-    words = " or ".join(_said(key, value) for key, value in nearest.items())
+            parts = [_said(key, value) for key, value in whole.items()]
+            ways.setdefault(frozenset(parts), " and ".join(parts))
+    words = " or ".join(ways.values())
     tail = f" The nearest that works: {words}." if words else ""
     raise InfeasibleRequirementError(obstructed + tail, name, nearest)
 
@@ -73,6 +76,8 @@ def _said(key: str, value: Any) -> str:
         return f"{key} {value:g}"
     if key == "fixed":
         return f"fixed {[round(float(t), 6) for t in value]}"
+    if key == "closest":
+        return f"timing_tolerance {value:g} early and late together"
     return {"forbidden": "shorter forbidden times", "available": "outputs available for longer"}[key]
 
 
@@ -92,7 +97,7 @@ def _fixed(problem: DesignProblem) -> InfeasibleConstraint | None:
             f"`fixed` times {fixed[i]:g} and {fixed[(i + 1) % fixed.size]:g} lie {gaps[i]:g} apart, closer than "
             f"`spacing` {eps:g}."
         )
-        return ("fixed", words, ({"spacing": _rounded_down(float(gaps[i]))},))
+        return ("fixed", words, (_narrower(problem, _rounded_down(float(gaps[i]))),))
     if fixed.size > problem.samples:
         words = f"`fixed` names {fixed.size} times, `samples` allows {problem.samples}."
         return ("fixed", words, ({"samples": int(fixed.size)},))
@@ -114,7 +119,7 @@ def _room(problem: DesignProblem) -> InfeasibleConstraint | None:
     words = f"{what} room for {room} samples in the period {period:g}, {k} are asked for."
     changes: tuple[Change, ...] = (
         *(({"samples": room},) if room else ()),
-        *(({"spacing": widest},) if widest > 0 else ()),
+        *((_narrower(problem, widest),) if widest > 0 else ()),
     )
     return ("forbidden" if limited else "spacing", words, (*changes, *(opened if widest == 0 else ())))
 
@@ -169,6 +174,11 @@ def _widest_spacing(problem: DesignProblem) -> float:
             break
     whole = len(problem.intervals) == 1 and not problem.fixed.size
     return _rounded_down(low * (1 - 1e-8) if whole else low * _SHARE)
+
+
+def _narrower(problem: DesignProblem, spacing: float) -> Change:
+    """A narrower spacing, and samples so near to their times that they keep their order."""
+    return {"spacing": spacing} | ({} if spacing > problem.closest else {"closest": _rounded_down(spacing * _SHARE)})
 
 
 def _rounded_down(value: float) -> float:

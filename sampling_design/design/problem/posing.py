@@ -31,6 +31,8 @@ MOST_DEFAULT_SAMPLES = 24
 TIMES = ("window", "period", "spacing")
 """What a requirement says in its unit of time, beside what is within the period."""
 
+_TIMED = {*TIMES, "forbidden", "fixed", "sensors", "timing_tolerance"}
+
 
 class ResolvedRequirement(NamedTuple):
     """A requirement without gaps, the defaults that were used, with reasons, and the zero count if they took it."""
@@ -227,6 +229,18 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
     )
 
 
+def in_own_unit(error: InfeasibleRequirementError, asked: Requirement, unit: str) -> InfeasibleRequirementError:
+    """The error with its times in the unit of what was asked; its words keep those of the plant, and say so."""
+    if asked.time_unit in (None, unit):
+        return error
+    found = error.nearest
+    if _TIMED & found.keys():
+        timed = {key: value for key, value in found.items() if key in _TIMED}
+        own = in_unit(Requirement().replace(**timed, time_unit=unit), str(asked.time_unit))
+        found = found | {key: getattr(own, key) for key in timed}
+    return InfeasibleRequirementError(f"{error} Times here are in {unit}, as the plant's.", error.obstacle, found)
+
+
 def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = True) -> DesignProblem:
     """Return the numbers of the design with `samples` per period; `requirement` is resolved.
 
@@ -246,6 +260,7 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
         plant=_read_in_the_middle(plant, late) if late else plant,
         window=_sure_window(requirement) + 2 * late.radius - lost,
         late=lost / 2,
+        closest=late.span,
         period=_known(requirement.period),
         spacing=_known(requirement.spacing),
         samples=samples,
@@ -277,6 +292,9 @@ def _read_in_the_middle(plant: Plant, late: TimingTolerance) -> Plant:
 def _as_asked(change: dict[str, Any], requirement: Requirement, names: tuple[str, ...]) -> dict[str, Any]:
     """A change of the problem as keyword arguments of the requirement."""
     result = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in change.items()}
+    if "closest" in result:
+        late = TimingTolerance.of(requirement.timing_tolerance, names)
+        result["timing_tolerance"] = late.scaled(result.pop("closest") / late.span).plain
     spans = result.pop("available", None)
     if spans is not None:
         prices = {name: term.price for name, term in requirement.sensors.items()}

@@ -157,8 +157,8 @@ def split_needed(plant: Plant, decay_rate: float) -> ModalSplit:
     split = split_modes(plant, decay_rate)
     if not isinstance(plant, FunctionalPlant) or not split.retained.n_states:
         return split
-    sizes = np.abs(split.basis_retained) / balance(plant.A, plant.C).d[:, None]
-    return split if np.max(sizes[: plant.rows]) > CARRIED * np.max(sizes) else split_modes(split.residual, decay_rate)
+    directions = np.linalg.qr(split.basis_retained / balance(plant.A, plant.C).d[:, None])[0]
+    return split if np.max(np.abs(directions[: plant.rows])) > CARRIED else split_modes(split.residual, decay_rate)
 
 
 def weighed_over(split: ModalSplit, window: float) -> ModalSplit:

@@ -143,6 +143,11 @@ def test_what_is_not_wanted_is_left_early_and_a_deadline_is_kept():
     assert smooth._crowding(crowded, times)[0] > 0
 
 
+def test_samples_that_show_nothing_lead_nowhere():
+    dark = problem(Plant(A, [np.zeros(5), C[1]]), available=(None, np.array([[5.0, 6.0]])))
+    assert smoothed(dark, dark.orthogonal_flow, np.linspace(0.1, 3.0, 7)) is None
+
+
 def test_two_times_of_day_are_exchanged_and_the_days_stay():
     closed = np.array([[d + 0.0, d + 0.4] for d in range(6)])
     case = problem(forbidden=closed, spacing=0.05, samples=6)

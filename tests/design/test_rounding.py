@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.design.bounds.derivatives import largest_derivatives
+from sampling_design.design.bounds.derivatives import change_of_bend, largest_derivatives
 from sampling_design.design.bounds.evidence import BoundPart
 from sampling_design.design.bounds.local_bound import _rounding
 from sampling_design.design.bounds.weak_duality import cell_count, piece_edges, profile, roofs, value_at
@@ -155,3 +155,18 @@ def test_what_has_no_derivative_has_none_however_long_the_reach_is():
     A, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[[1.0, 0.0]]])
     most = largest_derivatives(A, C, np.array([[[1.0], [0.0]]]), np.array([1e6]))[:, 0]
     assert most.tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("decades", [-18, 18])
+def test_derivatives_are_numbers_in_all_units_of_time(decades):
+    problem, rng = posed("eight integrators"), np.random.default_rng(1)
+    unit = 2.0 ** (3 * decades)
+    A, C, width = problem.rows.A + np.eye(8), problem.rows.C, np.array([0.01, 0.02]) * problem.window
+    F, rows = rng.standard_normal((2, 8, 1)), np.stack([problem.rows.C, 0.0 * problem.rows.C])
+    growth = np.array([[2.0, 0.0], [3.0, 0.0]])  # an output that observes nothing has no derivatives
+    given = (F @ np.swapaxes(F, 1, 2), np.arange(2), width / unit, growth)
+    here = change_of_bend(A, rows, given[0], given[1], width, growth)
+    assert np.array_equal(change_of_bend(A * unit, rows, *given), here * unit**2)
+    assert np.all(here[0] > 0)
+    most = largest_derivatives(A * unit, np.stack([C, C]), F, width / unit)
+    assert np.array_equal(most, largest_derivatives(A, np.stack([C, C]), F, width) * unit ** np.arange(4)[:, None])

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from sampling_design import zero_count_bound
-from sampling_design.errors import NotObservableError
+from sampling_design.errors import NotDetectableError, NotObservableError
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants.functional import split_needed
 from sampling_design.plants.modes import split_modes
 from tests.cases import few
 from tests.oracles.existence import drawn, unseen_count
@@ -51,3 +53,21 @@ def test_units_change_no_decision_about_modes_and_counts(seed):
         assert two.frequency_spread * units.time == pytest.approx(one.frequency_spread, rel=1e-6, abs=1e-9)
         if one.critical_length is not None:
             assert two.critical_length / units.time == pytest.approx(one.critical_length, rel=1e-6)
+
+
+def needed(plant, row, rate):
+    """How many states that do not decay a row needs; None where a mode enters it that no output shows."""
+    try:
+        return split_needed(part_for(plant, [row], decay_rate=rate), rate).retained.n_states
+    except NotDetectableError:
+        return None
+
+
+@pytest.mark.parametrize("seed", few(range(24), 6, 12))
+def test_units_change_no_decision_about_what_a_row_needs(seed):
+    rng = np.random.default_rng(seed)
+    plant = drawn(rng).plant
+    units = Units.drawn(rng, plant)
+    for row in plant.states.names[:2]:
+        for rate in RATES:
+            assert needed(units.plant(plant), row, rate / units.time) == needed(plant, row, rate)

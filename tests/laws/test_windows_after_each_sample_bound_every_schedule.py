@@ -166,3 +166,10 @@ def test_multipliers_that_leave_a_gap_out_prove_nothing():
     assert part.value_for(fixed) == np.inf  # gaps do not say all of a schedule there
     assert bounded(fixed, 1.0).value == np.inf
     assert bounded(problem, 0.0).value == np.inf
+
+
+def test_where_there_is_one_gap_alone_the_bound_stands():
+    problem = posed(OSCILLATOR, 2.4, 3.0, 3, 1.0 - 1e-12)
+    alone, sigma = replace(problem, spacing=1.0), reached(problem, even(problem))
+    found = bounded(problem, sigma)
+    assert sigma <= found.value_for(alone) <= found.value * (1 + 1e-9) < 2 * sigma

@@ -2,7 +2,8 @@
 
 Norms bound them all at once: |g^(q)| <= |C|^2 e^{2|A|t} |q-th derivative of Y|. Where the outputs see little of a large
 Y, as of many integrators, that is too much by orders of magnitude. By Taylor's formula the lower derivatives are known
-from those at one time, and only one of high order is left to the norms, with a factor h^q/q!.
+from those at one time, and only one of high order is left to the norms, with a factor h^q/q!. Time is counted in 1/|A|,
+to a power of two: high powers of A are no numbers in other units, or 0.
 """
 
 from __future__ import annotations
@@ -17,22 +18,30 @@ _ORDER = 16  # up to which derivatives of a form over the range of a lag are wor
 _ORDER_OF_BEND, _TOGETHER = 9, 4096  # the same over a piece, which is short; pieces that are worked out at once
 
 
+def _rate(A: Array) -> float:
+    """A power of two near the largest entry of A; 1 where all are 0."""
+    return float(np.ldexp(1.0, int(np.frexp(np.max(np.abs(A), initial=0.0))[1])))
+
+
 def remainder_of_bend(A: Array, Y: Array, order: int, node: Index, width: Array, growth: Array) -> Array:
     """How much g'' may change over a piece by its derivatives from an order q of g on: h^(q-2)/(q-2)! sup |g^(q)|."""
     unit = np.max(np.abs(Y), axis=(1, 2))  # squares of what has grown are no numbers
-    Y = Y / np.maximum(unit, np.finfo(float).tiny)[:, None, None]
+    Y, rate = Y / np.maximum(unit, np.finfo(float).tiny)[:, None, None], _rate(A)
+    A = A / rate
     for _ in range(order):
         Y = A @ Y + Y @ A.T
     with np.errstate(over="ignore"):  # where nothing is known of a piece its roof is infinite
         size = unit * np.linalg.norm(Y, axis=(1, 2))
-        scaled = (size[node] * width ** (order - 2) / factorial(order - 2))[:, None]
-        return np.asarray(np.where(scaled > 0, growth, 1.0) * scaled)
+        scaled = (size[node] * rate**2 * (rate * width) ** (order - 2) / factorial(order - 2))[:, None]
+        known = (scaled > 0) & (growth > 0)  # else it is 0, whatever the other is
+        return np.asarray(np.multiply(growth, scaled, out=np.zeros(known.shape), where=known))
 
 
 def change_of_bend(A: Array, c: Array, Y: Array, node: Index, width: Array, growth: Array) -> Array:
     """How much g'' = (c e^{At} Y e^{A't} c')'' may change over pieces of that `width` that begin with the rows c."""
-    slopes = _slopes_of_bend(A, c, Y, node, width)
-    return np.asarray(slopes + remainder_of_bend(A, Y, _ORDER_OF_BEND, node, width, growth))
+    rate = _rate(A)
+    slopes = _slopes_of_bend(A / rate, c, Y, node, rate * width)
+    return np.asarray(rate**2 * slopes + remainder_of_bend(A, Y, _ORDER_OF_BEND, node, width, growth))
 
 
 def _slopes_of_bend(A: Array, c: Array, Y: Array, node: Index, width: Array) -> Array:
@@ -58,6 +67,8 @@ def largest_derivatives(A: Array, C: Array, F: Array, reach: Array) -> Array:
 
     What is left is bounded by norms. That alone says little where C sees little of what is large in F.
     """
+    rate = _rate(A)
+    A, reach = A / rate, rate * reach
     row_derivatives, state = [C @ F], F
     for _ in range(1, _ORDER):
         state = A @ state
@@ -77,4 +88,4 @@ def largest_derivatives(A: Array, C: Array, F: Array, reach: Array) -> Array:
         size = last if q == _ORDER else np.abs(sum(pairs))
         for p in range(min(q, 3) + 1):
             found[p] += size * reach ** (q - p) / factorial(q - p)
-    return found
+    return np.asarray(found * (rate ** np.arange(4.0))[:, None])

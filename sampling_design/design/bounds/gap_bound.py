@@ -282,7 +282,8 @@ def _forms(grid: _DistanceGrid, weights: Array, Z: Array) -> tuple[Array, Array]
 
     Between gaps and ends F = <Z(g), G(r)> is above what is linear by at most h^2/8 (-F_rr + 2 |F_gr|), h the step.
     """
-    n = grid.problem.plant.n_states
+    n, asked = grid.problem.plant.n_states, len(weights)
+    weights = weights if asked > 1 else np.repeat(weights, 2, axis=0)  # one gap alone: nothing lies between gaps
     flat = Z.reshape(-1, n * n)
     y = _rows(grid, np.tensordot(weights.mean(axis=0), Z, axes=1))
     size = np.linalg.norm(y, axis=(3, 4)).max(axis=2)
@@ -303,7 +304,7 @@ def _forms(grid: _DistanceGrid, weights: Array, Z: Array) -> tuple[Array, Array]
     sunk = np.maximum(sunk, 0.0) + trace[:, None] * (third * grid.width / 2)
     rest = (np.maximum(sunk[1:], sunk[:-1]) + 2 * cross) * (grid.width**2 / 8) * grid.in_window
     beside = np.maximum(np.concatenate([rest[:1], rest]), np.concatenate([rest, rest[-1:]]))
-    return values * grid.in_window[:, None], beside
+    return values[:asked] * grid.in_window[:, None], beside[:asked]
 
 
 def _most(grid: _DistanceGrid, at: Index, values: Array, rest: Array, V: Array) -> Array:

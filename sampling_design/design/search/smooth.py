@@ -32,7 +32,8 @@ def smoothed(
 ) -> Array | None:
     """Admissible times near a best schedule that `times` lead to, or on the way there at the `budget`.
 
-    None where they can not be pushed apart, or where sigma^2 is below `wanted` after the first steps.
+    None where they can not be pushed apart, where no sample shows anything, or where sigma^2 is below `wanted` after
+    the first steps.
     """
     from scipy.optimize import minimize
 
@@ -41,7 +42,7 @@ def smoothed(
     for sharpness, steps in zip(_SHARPNESS, _STEPS, strict=True):
         grams = orthogonal_flow.grams(times[None], mask[None])
         mean, least = float(np.trace(grams[0, 0])) / grams.shape[-1], float(np.linalg.eigvalsh(grams).min())
-        if not first and least < wanted:
+        if not mean or (not first and least < wanted):
             return None
         first, unit = False, max(least, _BLIND * mean)
 

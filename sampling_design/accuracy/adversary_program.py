@@ -215,9 +215,9 @@ class ConeWindow:
         system, at = self.system, self.nodes[0]
         if self.start is system.start:
             return system.admissible_start(z)
-        if system.free_responses is None or not self.start.support(np.ones_like(z), 1.0):
+        if system.lasting is None or not self.start.support(np.ones_like(z), 1.0):
             return np.zeros_like(z)
-        x = system.free_responses.nearest(system.D * (system.L[at] @ z))
+        x = system.lasting.nearest(system.D * (system.L[at] @ z))
         return np.asarray(np.linalg.solve(system.L[at], x / system.D))
 
     def _excess(self, z: Array, w: list[Array]) -> float:
@@ -225,8 +225,8 @@ class ConeWindow:
         system, factor = self.system, 1.0
         if system.start is not None and self.start is system.start:
             factor = max(factor, system.start.excess(z[0]))
-        elif z[0].any() and system.free_responses is not None:
-            factor = max(factor, system.free_responses.excess(system.D * (system.L[self.nodes[0]] @ z[0])))
+        elif z[0].any() and system.lasting is not None:
+            factor = max(factor, system.lasting.excess(system.D * (system.L[self.nodes[0]] @ z[0])))
         for u in w:
             size = np.linalg.norm(u, axis=1) if system.bounds.w_ball else np.abs(u)
             factor = max(factor, float(np.max(size, initial=0.0)))

@@ -18,7 +18,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
-from sampling_design.accuracy.unknown_start import FreeResponses
+from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, covariance_root, information_update, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
@@ -159,9 +159,9 @@ class SampledSystem:
         return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
 
     @cached_property
-    def free_responses(self) -> FreeResponses | None:
+    def lasting(self) -> LastingResponses | None:
         """Those of an endless system that may have gone on for ever; None where something is unknown for ever."""
-        return FreeResponses.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
+        return LastingResponses.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
 
     def mu(self, j: int, rows: Array) -> Array:
         """Return rows (k, n) of x at node j as columns (n, k) that multiply z."""

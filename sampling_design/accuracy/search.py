@@ -14,6 +14,7 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
+from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -157,28 +158,29 @@ class GainSearch:
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept.
 
-        From rest, or where that leads nowhere, one that nothing drives and that has gone on for ever.
+        From rest, or where that leads nowhere or w does not reach all modes, from what has gone on for ever.
         """
         self.solves += 1
         self._tell()
-        from_rest = self.system.free_responses is None or bool(self.system.G.any())
+        lasting = self.system.lasting
+        from_rest = lasting is None or bool(self.system.G.any())
         gains, adversary = self.window(j, self.deep, from_rest, rough).both(mu)
-        if from_rest and adversary.value <= 0 and self.system.free_responses is not None:
+        if from_rest and lasting is not None and (adversary.value <= 0 or lasting.undriven):
             from_rest = False
-            gains, adversary = self.window(j, self.deep, False, rough).both(mu)
-        if not from_rest:
-            adversary = max(adversary, self._for_ever(j, mu), key=lambda one: one.value)
+            gains, begun = self.window(j, self.deep, False, rough).both(mu)
+            adversary = max(adversary, begun, key=lambda one: one.value)
+        if not from_rest and lasting is not None:
+            adversary = max(adversary, self._for_ever(j, mu, lasting), key=lambda one: one.value)
         self._keep(j, adversary)
         gains = self.evaluate(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
         self.directions[j].add(mu, gains)
         return gains, adversary
 
-    def _for_ever(self, j: int, mu: Array) -> Adversary:
-        """The strongest adversary against mu'z_j that nothing drives and that noise hides whenever samples come."""
-        system, free_responses = self.system, self.system.free_responses
-        assert free_responses is not None
-        x = free_responses.strongest(np.linalg.solve(system.L[j].T, mu) / system.D)
-        z = np.linalg.solve(system.L[j], x / max(1.0, free_responses.excess(x)) / system.D)
+    def _for_ever(self, j: int, mu: Array, lasting: LastingResponses) -> Adversary:
+        """The strongest adversary against mu'z_j that has gone on for ever as modes do, whenever samples come."""
+        system = self.system
+        x = lasting.strongest(np.linalg.solve(system.L[j].T, mu) / system.D)
+        z = np.linalg.solve(system.L[j], x / max(1.0, lasting.excess(x)) / system.D)
         return Adversary(float(mu @ z), (), z[None], j, self.system)
 
     def _keep(self, j: int, adversary: Adversary) -> None:
@@ -284,7 +286,7 @@ class GainSearch:
             high, at, peak = self._highest(found)
             if high > 0 and found.solved[at][peak] < self.back:
                 self._node(found, at, peak)
-            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and offset not in found.solved[j]:
+            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and self._promising(found, j, offset, high):
                 enough = max(high, found.lower * (1 + rtol * SHARE))
                 if self._combined(found, j, offset) > enough:
                     self._node(found, j, offset, enough)
@@ -326,6 +328,11 @@ class GainSearch:
         done = self.improve(j, found.opened[j].mu[offset], best, 0.0 if found.idle else below - rest, rtol)
         self._refresh(found, j)
         return done
+
+    @staticmethod
+    def _promising(found: RowSearch, j: int, offset: int, high: float) -> bool:
+        """Whether gains at an offset may lower a bound there, which is not the width of its panel alone."""
+        return offset not in found.solved[j] and not ((j, offset) in found.combined and found.nodes[j][offset] <= high)
 
     def _combined(self, found: RowSearch, j: int, offset: int) -> float:
         """What the gains of the nearest directions prove together at an offset; no solver."""

@@ -1,8 +1,9 @@
 """A start of which nothing is known: gains must leave nothing of it, or it makes every bound infinite.
 
-Free responses that are bounded for all times before: they may have gone on for ever, within noise.
+Responses that are bounded for all times before: they may have gone on for ever, within the bounds on w and noise.
 
-x(t - s) = sum_m X_m c_m e^{-mu_m s},   Re mu_m >= 0:   |C_i x(t - s)| <= sum_m |C_i X_m| |c_m|  for all s >= 0
+x(t - s) = Re sum_m X_m c_m e^{-mu_m s},  w = Re sum_m W_m c_m e^{-mu_m s},  (mu_m - A) X_m = G W_m,  Re mu_m >= 0:
+|C_i x(t - s)| <= sum_m |C_i X_m| |c_m|  and  |w_k(t - s)| <= sum_m |W_km| |c_m|  for all s >= 0
 """
 
 from __future__ import annotations
@@ -24,78 +25,143 @@ LASTS = 1e-12
 """Share of |A| below which a mode does not decay, and within which a direction is an eigenvector: rounding alone."""
 
 AMONG = 1e-9
-"""A state is that of a free response if what is left of it, balanced, is below this share of it: rounding alone."""
+"""A state is that of a lasting response if what is left of it, balanced, is below this share of it: rounding alone."""
+
+
+EVENED = 40
+"""Rounds in which the steady disturbance that hides a mode best is sought; its largest ratio then is right to
+percents, and what is attained is evaluated with it as it is."""
 
 
 @dataclass(frozen=True, eq=False)
-class FreeResponses:
-    """All that eigenvectors of modes that do not decay span."""
+class LastingResponses:
+    """All that modes which do not decay span, each with a disturbance at its own rate, or none, that hides it.
+
+    Where nothing drives a mode, the states that are driven may make up for what outputs show of it.
+    """
 
     scale: Array  # (n,): of the states; balances A
-    modes: Complex  # (n, m): eigenvectors of length one, in that scale
+    modes: Complex  # (n, m): X in that scale
     # (p, m): what outputs show of each at most, in units of the least noise that a sample of the period bounds them by
     output_sizes: Array
-    ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
+    w_sizes: Array  # (q, m): W, in units of the bounds
+    v_ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
+    w_ball: bool  # whether w is
+    undriven: bool  # whether a mode is beyond the reach of w
 
     @classmethod
-    def of(cls, plant: Plant, bounds: SignalBounds) -> FreeResponses:
+    def of(cls, plant: Plant, bounds: SignalBounds) -> LastingResponses:
         """Return those of a plant."""
         scale = balanced_schur(plant.A).d
         A, n = plant.A * scale / scale[:, None], plant.n_states
-        size = float(np.linalg.norm(A, 2))
-        found = [np.zeros((n, 0), dtype=np.complex128)]
+        G, C = plant.G * bounds.w / scale[:, None], plant.C * scale
+        size, v, undriven = float(np.linalg.norm(A, 2)), bounds.v.min(axis=0), False
+        modes = [np.zeros((n, 0), dtype=np.complex128)]
+        steady = [np.zeros((bounds.w.size, 0), dtype=np.complex128)]
         for cluster in eigenvalue_clusters(A):
             value = complex(cluster.value)
             if value.real >= -LASTS * size:
-                _, sizes, right = np.linalg.svd(A - value * np.eye(n))
-                found.append(right[sizes <= LASTS * n * size].conj().T)
-        modes, v = np.hstack(found), bounds.v.min(axis=0)
-        modes[np.abs(modes) < LASTS] = 0.0
-        size_of = np.abs(plant.C * scale @ modes)
+                left, sizes, right = np.linalg.svd(value * np.eye(n) - A)
+                none = sizes <= LASTS * n * size
+                own = right[none].conj().T
+                own[np.abs(own) < LASTS] = 0.0
+                across = left[:, none].conj().T  # what is seen of the mode itself
+                free = _null_space(across @ G, float(np.linalg.norm(G)))  # w that do not drive it
+                undriven |= free.shape[1] > G.shape[1] - own.shape[1]
+                moved = right[~none].conj().T @ (left[:, ~none].conj().T @ (G @ free) / sizes[~none, None])
+                moved -= own @ np.linalg.lstsq(across @ own, across @ moved)[0]
+                W = _steady(C @ own, C @ moved, free, bounds)
+                modes.append(own + moved @ W)
+                steady.append(free @ W)
+        X, W = np.hstack(modes), np.hstack(steady)
+        shown = np.abs(C @ X)
+        shown[(v == 0)[:, None] & (shown <= LASTS * n * (np.abs(C) @ np.abs(X)))] = 0.0
         with np.errstate(divide="ignore"):
-            output_sizes = np.divide(size_of, v[:, None], out=np.zeros_like(size_of), where=size_of > 0)
-        return cls(scale, modes, output_sizes, bounds.v_ball)
+            output_sizes = np.divide(shown, v[:, None], out=np.zeros_like(shown), where=shown > 0)
+        return cls(scale, X, output_sizes, np.abs(W), bounds.v_ball, bounds.w_ball, undriven)
 
     def _shares(self, x: Array) -> Complex:
         return np.asarray(np.linalg.lstsq(self.modes, (x / self.scale).astype(complex))[0])
 
     def nearest(self, x: Array) -> Array:
-        """The state of a free response that is nearest to x."""
+        """The state of a lasting response that is nearest to x."""
         return np.asarray(self.scale * (self.modes @ self._shares(x)).real)
 
     def strongest(self, row: Array) -> Array:
-        """The state of a free response, within the noise at all times before, with about the largest row'x."""
+        """The state of a lasting response, within the bounds at all times before, with about the largest row'x."""
         from scipy.optimize import linprog
 
-        reached = (row * self.scale) @ self.modes
-        finite = np.isfinite(self.output_sizes).all(axis=0)
-        sizes, output_sizes = np.abs(reached) * finite, np.where(finite, self.output_sizes, 0.0)
-        output_size = output_sizes.max(axis=0, initial=0.0)
-        unit = np.where(output_size > 0, output_size, 1.0)
+        reached, every = (row * self.scale) @ self.modes, np.vstack([self.output_sizes, self.w_sizes])
+        finite = np.isfinite(every).all(axis=0)
+        sizes, every = np.abs(reached) * finite, np.where(finite, every, 0.0)
+        largest = every.max(axis=0, initial=0.0)
+        unit = np.where(largest > 0, largest, 1.0)
         with np.errstate(over="ignore"):
-            aims = sizes * (output_size > 0) / unit
+            aims = sizes * (largest > 0) / unit
         if not 0 < aims.max(initial=0.0) < np.inf:
             return np.zeros(row.size)
         # shares of the largest: a solver takes 1e20 for infinite, and what is far below 1 for nothing
         found = linprog(
             -aims / aims.max(),
-            A_ub=output_sizes / unit,
-            b_ub=np.ones(len(output_sizes)),
-            bounds=[(0.0, float(s > 0)) for s in output_size],
+            A_ub=every / unit,
+            b_ub=np.ones(len(every)),
+            bounds=[(0.0, float(s > 0)) for s in largest],
         )
         if found.x is None:  # sizes too far apart for a solver: any state will do, and rest is one
             return np.zeros(row.size)
         return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
 
     def excess(self, x: Array) -> float:
-        """By which factor outputs of the one through x may exceed the noise at any time before; infinite if none is."""
+        """By which factor that through x may exceed the bounds at any time before; infinite if none is."""
         shares = self._shares(x)
         z = x / self.scale
         if np.linalg.norm(z - self.modes @ shares) > AMONG * np.linalg.norm(z):
             return np.inf
         with np.errstate(invalid="ignore"):
-            sizes = np.where(np.abs(shares) > 0, self.output_sizes * np.abs(shares), 0.0).sum(axis=1)
-        return float(np.linalg.norm(sizes) if self.ball else np.max(sizes, initial=0.0))
+            v, w = (
+                np.where(np.abs(shares) > 0, each * np.abs(shares), 0.0).sum(axis=1)
+                for each in (self.output_sizes, self.w_sizes)
+            )
+        both = ((v, self.v_ball), (w, self.w_ball))
+        return max(float(np.linalg.norm(each) if ball else np.max(each, initial=0.0)) for each, ball in both)
+
+
+def _null_space(M: Array | Complex, size: float) -> Complex:
+    """Orthonormal columns that M (k, q) makes nothing of, but for rounding of entries of a size."""
+    _, sizes, right = np.linalg.svd(M)
+    return np.asarray(right[np.count_nonzero(sizes > LASTS * max(M.shape) * size) :].conj().T, dtype=np.complex128)
+
+
+def _steady(own: Complex, moved: Complex, free: Complex, bounds: SignalBounds) -> Complex:
+    """(k, m): by column the u with about the least of |own + moved u| / v and |free u|, by whichever is the largest.
+
+    Lawson's weights; rows of exact sensors show nothing, where that can be.
+    """
+    v, count, k = bounds.v.min(axis=0), own.shape[1], moved.shape[1]
+    found = np.zeros((k, count), dtype=np.complex128)
+    exact, some = v == 0, (v > 0) & np.isfinite(v)
+    if not k:
+        return found
+    inner = _null_space(moved[exact], float(np.linalg.norm(moved[exact])))
+    rows = np.vstack([moved[some] / v[some, None], free])
+    seen, q = int(some.sum()), len(free)
+    groups = np.zeros(seen, dtype=int) if bounds.v_ball else np.arange(seen)
+    groups = np.append(groups, seen + (np.zeros(q, dtype=int) if bounds.w_ball else np.arange(q)))
+    for m in range(count):
+        first = np.linalg.lstsq(moved[exact], -own[exact, m])[0] if exact.any() else np.zeros(k)
+        given = np.concatenate([own[some, m] / v[some], np.zeros(q)]) + rows @ first
+        weights, least = np.ones(seen + q), np.inf
+        for _ in range(EVENED):
+            root = np.sqrt(weights[groups])
+            u = np.linalg.lstsq(root[:, None] * rows @ inner, -root * given)[0]
+            left = np.sqrt(np.bincount(groups, np.abs(given + rows @ inner @ u) ** 2, minlength=seen + q))
+            if left.max() < least:
+                least, found[:, m] = left.max(), first + inner @ u
+            total = float(weights @ left)
+            if total == 0:
+                break
+            weights = weights * left / total
+    return found
 
 
 CHANGED = 1e-11  # share of the gains, in units of the noise, that may be changed to take away what they leave: rounding

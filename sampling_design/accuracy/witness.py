@@ -14,7 +14,7 @@ from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
-from sampling_design.accuracy.unknown_start import FreeResponses
+from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -230,7 +230,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     elif initial is not None and (witness.states[0].any() or witness.last + 1 < len(v)):
         legal = False
     elif witness.states[0].any():
-        begun = FreeResponses.of(witness.plant, bounds).excess(witness.states[0])
+        begun = LastingResponses.of(witness.plant, bounds).excess(witness.states[0])
     if not legal or np.isnan(moved).any():
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)

@@ -230,6 +230,32 @@ def test_what_is_unseen_and_decays_is_known():
     assert found.verify()
 
 
+HIDDEN = [(0.0, 1.0, 0.1), (0.0, 1e-7, 0.0), (1.7, 1.0, 0.1), (1.7, 1e7, 0.0)]
+
+
+@pytest.mark.parametrize(("turn", "unit", "noise"), few(HIDDEN, 0, 1))
+def test_what_nothing_drives_hides_behind_what_is_driven(turn, unit, noise):
+    """A bias of y = x + b, constant or turning, which x' = -x + w makes up for, for ever: w stays what it is, too."""
+    n = 3 if turn else 2
+    A = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, turn], [0.0, -turn, 0.0]])[:n, :n]
+    plant = sd.Plant(A, np.array([[1.0, 1.0, 0.0]])[:, :n], G=unit * np.eye(n)[:, :1])
+    bounds = {"w_bound": 0.3, "v_bound": noise * unit, "rtol": 0.5}
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([0.8]), of=["x1", "x2"], **bounds)
+    least = 0.3 / np.hypot(1.0, turn)  # amplitude of x at that rate
+    assert np.all(found.lower >= (least + noise * np.arange(2)) * unit * (1 - 1e-6))
+    assert np.all(found.lower <= found.upper)
+    assert found.verify()
+
+
+def test_a_row_of_which_only_the_width_of_a_panel_is_left_ends():
+    """Nothing drives the second state, and no gains make its bound less than what its panels lose."""
+    A, C = [[-0.20857866, -0.52738419], [0.0, -0.64134852]], [[-0.05606444, 0.74688562], [-1.8473248, 1.56654877]]
+    schedule = sd.PeriodicSchedule.from_times([0.65797302, 1.42196308, 1.91467925, 2.3112569], 2.7112569)
+    found = sd.guaranteed_accuracy(sd.Plant(A, C, G=[[1.0], [0.0]]), schedule, w_bound=0.1, v_bound=1.0, rtol=0.05)
+    assert found.closed.all()
+    assert found.upper[1] <= 1e-6
+
+
 @pytest.mark.long
 def test_a_drift_that_nothing_drives_is_known_the_better_the_longer_the_past():
     """Where it is, noise hides; how fast it goes is known exactly in the end, which no finite window proves."""

@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import finite
-from sampling_design.accuracy.unknown_start import FreeResponses
+from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import ArgumentError, UndecidedError
 from tests.cases import few
 from tests.oracles import accuracy as oracle
@@ -18,10 +18,11 @@ SCHEDULE = sd.Schedule(TIMES)
 
 
 @pytest.mark.parametrize("size", [1e-200, 1e-25, 1.0, 1e25, 1e200])
-def test_the_strongest_free_response_is_the_same_in_any_units(size):
+def test_the_strongest_lasting_response_is_the_same_in_any_units(size):
     """Of x1 + x2 where noise allows |x1| + 2 |x2| <= 1 and |x1| <= 1, in units of the size."""
-    free = FreeResponses(np.ones(2), np.eye(2, dtype=complex), size * np.array([[1.0, 2.0], [1.0, 0.0]]), ball=False)
-    assert size * free.strongest(np.array([1.0, 1.0])) == pytest.approx([1.0, 0.0], rel=1e-9, abs=1e-9)
+    shown, still = size * np.array([[1.0, 2.0], [1.0, 0.0]]), np.zeros((1, 2))
+    lasting = LastingResponses(np.ones(2), np.eye(2, dtype=complex), shown, still, False, False, undriven=True)
+    assert size * lasting.strongest(np.array([1.0, 1.0])) == pytest.approx([1.0, 0.0], rel=1e-9, abs=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -73,6 +73,8 @@ def unmet_protocol(kind: object) -> Callable[[object], str]:
     """What says which methods of a protocol a value has not, or not with these arguments; "" of any other class."""
     own = vars(kind) if getattr(kind, "_is_protocol", False) else {}
     methods = {key: [*signature(does).parameters][1:] for key, does in own.items() if key[0] != "_"}
+    if not methods:
+        return lambda _: ""
 
     def unmet(value: object) -> str:
         if value is None:

@@ -96,12 +96,13 @@ class ComposedFlow:
         """Flows over a few gaps of one level, each from the polynomial around its piece."""
         unit, norm, powers, around = self._unit, self._norm, self._powers, self._around
         flow = np.empty((len(gaps), len(self._kept)))
-        for row, h in zip(flow, gaps, strict=True):
-            digit = int(h // unit)
+        digits = [int(h // unit) for h in gaps]
+        passed = np.array([[(h - digit * unit) * norm] for h, digit in zip(gaps, digits, strict=True)]) ** powers
+        for row, factors, digit in zip(flow, passed, digits, strict=True):
             terms = around.get(digit)
             if terms is None:
                 terms = around[digit] = self._expanded(digit)
-            (((h - digit * unit) * norm) ** powers).dot(terms, row)
+            factors.dot(terms, row)
         return flow.take(self._whole, 1)
 
     def _expanded(self, digit: int) -> Array:

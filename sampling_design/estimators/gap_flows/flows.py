@@ -162,11 +162,12 @@ class GapFlow:
 
 
 @lru_cache(maxsize=64)
-def _band_places(width: int, n: int) -> Index:
-    """Where the entries of a lower band stand in a symmetric matrix with a zero after its end."""
+def _band_places(width: int, n: int) -> tuple[Index, Array]:
+    """Where the entries of a lower band stand in a symmetric matrix; 0 where it has none, 1 elsewhere."""
     column, below = np.meshgrid(np.arange(width), np.arange(2 * n), indexing="ij")
     row = column + below
-    return np.where(row < width, column * width + np.minimum(row, width - 1), width * width).reshape(-1, n, 2 * n)
+    places = column * width + np.minimum(row, width - 1)
+    return places.reshape(-1, n, 2 * n), (row < width).astype(np.float64).reshape(-1, n, 2 * n)
 
 
 def lower_band(matrix: Array, n: int) -> Array:
@@ -174,9 +175,10 @@ def lower_band(matrix: Array, n: int) -> Array:
 
     m is 1 or 2: what stands in it is a block of its column and the one below.
     """
-    flat = np.zeros(matrix.size + 1)
-    flat[:-1] = matrix.ravel()
-    return np.asarray(flat[_band_places(len(matrix), n)])
+    places, held = _band_places(len(matrix), n)
+    band: Array = matrix.take(places)
+    band *= held
+    return band
 
 
 class FlowTable:
@@ -330,9 +332,10 @@ def _halves(M: Array) -> tuple[Array, Array, Mask]:
 
 def _bands(matrices: Array, n: int) -> Array:
     """`lower_band` of many matrices."""
-    flat = np.zeros((len(matrices), matrices[0].size + 1))
-    flat[:, :-1] = matrices.reshape(len(matrices), -1)
-    return np.asarray(flat[:, _band_places(matrices.shape[1], n)])
+    places, held = _band_places(matrices.shape[1], n)
+    band: Array = matrices.reshape(len(matrices), -1).take(places, 1)
+    band *= held
+    return band
 
 
 def prepare_joint(flows: list[GapFlow]) -> None:

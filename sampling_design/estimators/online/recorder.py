@@ -163,4 +163,4 @@ class Recorder:
 
 def _is_finite(Y: Array) -> bool:
     """Whether all entries of a covariance are finite: most often one sum tells."""
-    return math.isfinite(np.vdot(Y, Y)) or bool(np.isfinite(Y).all())
+    return math.isfinite(Y.ravel().dot(Y.ravel())) or bool(np.isfinite(Y).all())

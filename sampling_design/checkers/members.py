@@ -36,7 +36,7 @@ def bounds(form: Array, terms: Array, radius: Array | None = None) -> Parts:
     d = np.where(d > 0, d, 1.0)
     scale = d[:, :, None] * d[:, None, :]
     M, m = form / scale, form.shape[-1]
-    values = np.linalg.eigvalsh(M)[:, 0]
+    values = np.linalg.eigvalsh(M).min(axis=1, initial=np.inf)  # of no rows, of a plant without disturbances: none
     rounding = EPS * (
         (m + 16) * np.linalg.norm(terms / scale, axis=(1, 2)) + EIGENVALUES * m * np.linalg.norm(M, axis=(1, 2))
     )

@@ -241,7 +241,7 @@ class NominalFamily(SamplingFamily, kind=None):
 def gap_steps(shortest: float, longest: float, room: Callable[[Word], float], memory: int, outputs: int) -> Steps:
     """Steps of gaps in [shortest, min(longest, room(word))], words the lower ends of the last gaps, newest first.
 
-    The first gap, cut by the window's start, may be short.
+    The first gap, cut by the window's start, may be short. What of a cell is only rounding belongs to the one before.
     """
     kept, cells = GAP_MEMORY[memory]
     borders = np.linspace(shortest, longest, cells + 1).tolist()
@@ -249,12 +249,13 @@ def gap_steps(shortest: float, longest: float, room: Callable[[Word], float], me
 
     def steps(word: Word) -> list[FamilyStep]:
         old = () if word == START else word
-        found = []
+        found, most = [], min(longest, room(old))
         for k, (low, high) in enumerate(pairwise(borders)):
-            low = 0.0 if word == START and k == 0 else low
-            high = min(high, room(old))
-            if low <= high:
-                found.append(FamilyStep((low, *old)[:kept], low, high, every))
+            low, last = 0.0 if word == START and k == 0 else low, most <= high * (1 + EQUAL_RTOL)
+            if low <= most:
+                found.append(FamilyStep((low, *old)[:kept], low, most if last else high, every))
+            if last:
+                break
         return found
 
     return steps

@@ -34,6 +34,8 @@ from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 STEP = 0.25  # |A| times a step within which the mismatch is bounded at once
 FEWEST, MOST = 4, 400  # steps of a gap
 HALVINGS = 12  # how often a step is halved over which the bound of the mismatch does not hold itself up
+GENTLE = 1 + 1 / 16  # factor on the radius over a step up to which the next one may be twice as long
+MOST_STEEP = 1200  # steps that raise the radius by more: beyond them, by e^70 and more, it says nothing
 TRIALS = 40  # times that the bound over a step is raised before the step is halved
 ROUNDING = 1 + 1e-9  # factor on every sum that bounds from above
 NO_CLAIM = "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
@@ -129,6 +131,7 @@ class MismatchLoop(OpenLoop):
             forcing = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
             count = int(np.clip(np.ceil(speed * (b - a) / STEP), FEWEST, MOST))
             done, step = 0.0, (b - a) / count
+            most, steep = step, 0
             for _ in range(count * 2**HALVINGS):
                 if done >= (b - a) * (1 - 1e-12):
                     break
@@ -139,8 +142,12 @@ class MismatchLoop(OpenLoop):
                     if step * 2**HALVINGS * count < b - a:
                         return float("inf")
                     continue
+                gentle = found[2] <= beta * GENTLE
+                steep += not gentle
+                if steep > MOST_STEEP:
+                    return float("inf")
                 x, Y, beta = found
-                done += step
+                done, step = done + step, min(2 * step, most) if gentle else step
         return beta * ROUNDING
 
     def _stepped(

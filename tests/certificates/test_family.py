@@ -337,6 +337,29 @@ def test_what_nothing_drives_is_certified_along_families(A, unit):
     assert made.lam < (1.1 if A[0][0] < 0 else 10.0)
 
 
+@pytest.mark.parametrize(
+    ("rate", "turned", "family"),
+    few(
+        [
+            (rate, turned, spec)
+            for rate in (20.0, 700.0, 1e4)
+            for turned in (False, True)
+            for spec in (GapRange(0.5, 1.5), LostSamples(PeriodicSchedule([1.0]), 1, 3))
+        ],
+        2,
+        4,
+    ),
+)
+def test_what_is_gone_within_a_gap_and_nothing_drives_changes_no_lambda(rate, turned, family):
+    """Of modes that decay by e^-20 to e^-15000 in a gap rounding leaves nothing, in whatever basis they stand."""
+    Q = np.linalg.qr(np.random.default_rng(1).standard_normal((2, 2)))[0] if turned else np.eye(2)
+    whole = Plant(Q @ np.diag([-rate, 0.1]) @ Q.T, [[1.0, 1.0]] @ Q.T, G=np.zeros((2, 1)))
+    alone = sd.certify(Plant([[0.1]], [[1.0]], G=[[0.0]]), family, eta=0.1)
+    made = sd.certify(whole, family, eta=0.1)
+    assert made.verify().passed
+    assert made.lam == pytest.approx(alone.lam, rel=1e-3)
+
+
 def test_a_nominal_schedule_that_does_not_settle_is_no_obstacle(monkeypatch):
     """It gives coordinates alone; those of the scales serve, too."""
 

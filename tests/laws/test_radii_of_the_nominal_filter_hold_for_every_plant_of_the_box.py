@@ -12,7 +12,8 @@ from scipy.linalg import expm
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
-from sampling_design.uncertain.nominal_filter import NominalFilter
+from sampling_design.uncertain import nominal_filter
+from sampling_design.uncertain.nominal_filter import MismatchLoop, NominalFilter
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
@@ -111,6 +112,24 @@ def test_a_box_that_no_bound_holds_says_that_there_is_no_radius():
         assert not found.certified
         assert found.radius == np.inf
         assert "No radius: it overflows." in found.note
+
+
+@pytest.mark.parametrize(("typical", "certified", "most"), [(0.1, True, 150), (0.01, False, 250)])
+def test_a_mismatch_that_weighs_much_at_first_takes_short_steps_at_first_alone(typical, certified, most, monkeypatch):
+    """The first error is large against what lasts, so that steps are short where it is; nothing is walked for minutes."""
+    walked, stepped = [], MismatchLoop._stepped
+
+    def counted(self, *given):
+        walked.append(given[-1])
+        return stepped(self, *given)
+
+    monkeypatch.setattr(MismatchLoop, "_stepped", counted)
+    monkeypatch.setattr(nominal_filter, "MOST_STEEP", 200)
+    leak = UncertainParameter("leak", 4.9, 5.1, A=[[-1.0]], nominal=5.0)
+    made = NominalFilter(UncertainPlant(Plant([[-5.0]], [[1.0]]), [leak]), cost=CostFunction(eta=0.5), w_bound=0.1,
+                         v_bound=0.1, initial_error=1.0, typical=typical)  # fmt: skip
+    assert made.update(4.0, [0.1]).certified == certified
+    assert len(walked) < most
 
 
 def test_what_is_no_box_is_refused():

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from sampling_design import ArgumentError, GapRange, Jitter, LostSamples, PeriodicSchedule, Schedule, SpacedWindows
 from sampling_design.errors import InfeasibleRequirementError
-from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family import START, SamplingFamily
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.schedules.sampling_set import SamplingSet
@@ -280,3 +280,17 @@ def test_bad_input():
         family_from_dict({"kind": "gap-range", "shortest": 1.0})
     with pytest.raises(ArgumentError, match=r"unknown key 'longst' .* Did you mean 'longest'"):
         family_from_dict({"kind": "gap-range", "shortest": 1.0, "longst": 2.0})
+
+
+@pytest.mark.parametrize(("window", "count", "spacing"), [(0.272191, 3, 0.02542), (1.0, 3, 0.1), (7.3, 2, 1.1)])
+def test_no_step_of_spaced_windows_is_rounding_alone(window, count, spacing):
+    """What a sum of gaps leaves of a cell may be the last digit of its border, which is the cell before, too."""
+    family = SpacedWindows(window, count, spacing)
+    for memory in range(family.levels_of_memory):
+        steps, words, known = family.steps(memory, 1), [START], {START}
+        while words:
+            found = steps(words.pop())
+            assert all(step.high - step.low > 1e-9 * window for step in found)
+            new = {step.word for step in found} - known
+            known |= new
+            words += new

@@ -478,6 +478,19 @@ def test_a_plant_without_states_is_refused():
         certify(model, GapRange(1, 2))
 
 
+@pytest.mark.parametrize("listed", [0, 8])
+def test_a_plant_without_disturbances_is_certified(listed, tmp_path, monkeypatch):
+    """Its weight of disturbances is a matrix without rows, which is positive as every such matrix is."""
+    monkeypatch.setattr("sampling_design.uncertain.plants.uncertain_plant.MOST_LISTED", listed)
+    model = UncertainPlant(Plant(OSCILLATOR.A, OSCILLATOR.C, G=np.zeros((2, 0))), [STIFFNESS])
+    made = certify_inclusion(model, GapRange(0.5, 1.0), eta=0.1, pieces=2)
+    assert (made.multipliers is None) == (listed > 0)
+    assert made.horizon().C_w == 0
+    made.save(tmp_path / "certificate.json")
+    assert read_certificate(tmp_path / "certificate.json").verify().verdict == "proven"
+    assert verify_rigorously(made.to_dict()).verdict == "proven"
+
+
 def test_a_sample_of_part_of_the_outputs_is_one_of_that_part():
     two = UncertainPlant(Plant(OSCILLATOR.A, np.eye(2)), [STIFFNESS])
     some = PeriodicSchedule([0.6, 0.6], outputs=[[1, 0], [0, 1]])

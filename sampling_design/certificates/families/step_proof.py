@@ -15,6 +15,7 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.window_problem import covariance_flow, growing_flow, whitened_rows
 from sampling_design.certificates.families.graphs import PathCompleteGraph
+from sampling_design.numerics.filtering import EPS
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index
@@ -26,6 +27,8 @@ LEAST_REACH = 1e-9
 """A step shorter than this fraction of the whole interval: the inequality is tight there and counts as failed."""
 ENOUGH_STEPS = 4_000  # steps after which a proof that has failed already looks for no further failures
 BATCH = 4096  # steps taken at once
+ROUNDINGS = 4  # n eps that rounding leaves open of an entry of a covariance
+LEAST_COVARIANCE = 1e-280  # where Y is 0 to the last bit: its root and the inverse of that are numbers
 FIRST_CUT = 16  # parts into which each interval is cut, to be stepped along side by side
 
 
@@ -161,18 +164,30 @@ def _cut(owner: Index, low: Array, high: Array, reach: Array) -> tuple[Index, Ar
     return np.append(owner, owner[long]), np.append(low, middle), np.append(stop, high[long])
 
 
+def beyond_rounding(Y: Array) -> tuple[Array, Array]:
+    """Sizes u (K, n) and L (K, n, n) with u L L' u' what rounding leaves open of covariances, and more than they are.
+
+    So less is proven, and they are never singular: of modes that no disturbance drives nothing may be left that sums of
+    products could tell from 0.
+    """
+    n = Y.shape[-1]
+    unit = np.sqrt(np.maximum(np.einsum("kii->ki", Y), LEAST_COVARIANCE))
+    correlations = Y / unit[:, :, None] / unit[:, None, :]
+    return unit, np.asarray(np.linalg.cholesky(correlations + ROUNDINGS * n * EPS * np.eye(n)))
+
+
 def _step(dynamics: StepDynamics, conditions: StepConditions, owner: Index, h: Array) -> tuple[Array, Array]:
     """Theta at h, and how far beyond h the inequality is then proven."""
     times, where = np.unique(h, return_inverse=True)
     F, W = (part[where] for part in dynamics.flow(times))
     P = np.linalg.cholesky(conditions.sources[owner])
     half = np.linalg.solve(P, np.swapaxes(F, 1, 2))
-    root = np.linalg.cholesky(symmetrise(np.swapaxes(half, 1, 2) @ half + W))  # Y = root root', X = Y^-1
-    across = np.swapaxes(root, 1, 2)
-    theta = np.linalg.eigvalsh(symmetrise(across @ conditions.targets[owner] @ root))[:, -1]
-    drift = np.linalg.solve(root, dynamics.A @ root)
-    half = np.linalg.solve(root, np.broadcast_to(dynamics.noise, F.shape))
-    noise = np.linalg.solve(root, np.swapaxes(half, 1, 2))
+    unit, L = beyond_rounding(symmetrise(np.swapaxes(half, 1, 2) @ half + W))
+    root = unit[:, :, None] * L  # X = (root root')^-1
+    theta = np.linalg.eigvalsh(symmetrise(np.swapaxes(root, 1, 2) @ conditions.targets[owner] @ root))[:, -1]
+    drift = np.linalg.solve(L, dynamics.A @ root / unit[:, :, None])
+    half = np.linalg.solve(L, dynamics.noise / unit[:, :, None] / unit[:, None, :])
+    noise = np.linalg.solve(L, np.swapaxes(half, 1, 2))
     rate = drift + np.swapaxes(drift, 1, 2) + dynamics.eta * np.eye(dynamics.size) + noise
     c = np.linalg.eigvalsh(symmetrise(rate))[:, -1]
     gain = np.where(theta > 0, -np.log(np.where((theta > 0) & (theta < 1), theta, 1.0)), np.inf)

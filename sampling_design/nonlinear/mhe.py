@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -250,9 +251,10 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             self._scales_checked = True
             warn_of_scales(self.plant, "outputs", [sample.y])
         taken, rejected_note = self._without_outliers(state, sample)
+        counted, scheduled = self._counted(state, taken)
         refined, allowed = False, self.search.collocation.accuracy or np.inf
         while True:
-            data, guess, start = self._window(state, taken)
+            data, guess, start = self._window(state, taken, counted)
             answer = self.search.solve(data, guess)
             rough = answer.error > allowed or (refined and answer.solution.status != "ok")
             if not rough or not self.search.refine():
@@ -262,9 +264,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         took = sample.t, solution.status, solution.iterations, solution.seconds
         self.solves.append(SolverRun(*took, data.edges.size - 1, answer.attempts, self.search.degree, answer.error))
         details = {"window_start": float(data.edges[0]), "engine": solution.engine}
-        counted, scheduled = self._counted(state, taken)
         if solution.status != "ok" or answer.covariances is None:
-            x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t)
+            x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t, state.last.counted)
             note = (
                 f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {rejected_note}".strip()
             )
@@ -294,7 +295,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         inputs = [self.loop.input(state, last.t), *(u for t, u in state.inputs if last.t < t <= sample.t)]
         scheduled = last.scheduled and bool(np.isfinite(error_bound.age(sample.t, before)))
         scheduled = scheduled and error_bound.drives(np.array(inputs))
-        return (sample.t if complete and error_bound.counts(sample.t, before) else before), scheduled
+        return (sample.t if complete and error_bound.counts(sample.t, before) else last.counted), scheduled
 
     def _without_outliers(self, state: EstimatorState, sample: RecordRow) -> tuple[RecordRow, str]:
         """Leave out the outputs of a sample that lie beyond the gate, and say so."""
@@ -302,7 +303,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         recent = [node for node in state.nodes[-patience:] if node.sample.y is not None and not node.mask.any()]
         if gate is None or len(recent) == patience or state.last.t == sample.t:
             return sample, ""
-        x, Y, _, trouble = self.loop.ahead(state, state.last, sample.t)
+        x, Y, _, trouble = self.loop.ahead(state, state.last, sample.t, self.loop.since(state.last, sample.t))
         if trouble or not np.isfinite(Y).all():
             return sample, ""
         u = self.loop.input(state, sample.t)
@@ -339,14 +340,14 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         w = solution.point.w * self.plant.signals["disturbances"].scales
         trajectory = WindowTrajectory(data.edges, nodes, w, misfit, counted, jumps * self._scale)
         last = start.counted
-        if start.prior:
-            last = error_bound.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
-        square = error_bound.largest(start.t, last, start.x, start.prior)
-        return error_bound.radius(trajectory, start.x, square if start.prior else min(start.square, square), last)
+        square = min(start.square, error_bound.largest(start.t, last, start.x, start.prior))
+        return error_bound.radius(trajectory, start.x, square, last)
 
-    def _window(self, state: EstimatorState, sample: RecordRow) -> tuple[WindowData, WindowSolution, NonlinearStart]:
+    def _window(
+        self, state: EstimatorState, sample: RecordRow, counted: float
+    ) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
-        start = self._start(state, sample.t)
+        start = self._start(state, sample.t, counted)
         rows = {node.t: (node.y, node.mask) for node in start.inside}
         measured = np.isfinite(sample.y)
         if sample.t > start.t or start.closed:
@@ -368,31 +369,42 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         )
         return data, self.search.guess(edges, self._path(state, edges, start.x) / self._scale), start
 
-    def _start(self, state: EstimatorState, t: float) -> NonlinearStart:
-        """Return where the window begins, the online estimate there, what it weighs, and the samples in it."""
+    def _start(self, state: EstimatorState, t: float, counted: float) -> NonlinearStart:
+        """Return where the window begins, the online estimate there, what it weighs, and the samples in it.
+
+        P(tau) of a prior counts from where the first sample that counts asks for it, and without one from where it will
+        at the window's end: `counted`.
+        """
         nodes, s = state.nodes, t - self.horizon
         slack = SAME_TIME * max(abs(t), self.horizon)
         fixed: Array = np.asarray(np.linalg.cholesky(self.scaled.twice * self.scaled.P2).T, dtype=np.float64)
         if nodes[0].sample.y is None and s <= nodes[0].t + slack:
             first = nodes[0]
-            last = self.loop.since(first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
+            last = self._last_before(first, nodes[1:], t, counted)
             root = fixed if self.error_bound is None else self._arrival_weight(first.t, last)
-            return NonlinearStart(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
+            return NonlinearStart(first.t, first.x, self.loop.begun(first, last), last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
-        at, x, Y, square = node.t, node.x, node.Y, node.beta
+        last = self._last_before(node, nodes[anchor + 1 :], t, counted)
+        at, x, Y, square = node.t, node.x, node.Y, self.loop.begun(node, last)
         at_node = self.begins == "sample" or abs(at - s) <= slack
         closed = self.closed and at_node and node.sample.y is not None
         if not at_node:
             at = s
-            x, Y, square, _ = self.loop.ahead(state, node, s)
-        last = self.loop.since(node, at)
+            x, Y, square, _ = self.loop.ahead(state, node, s, last)
         root = fixed
         if self.error_bound is not None:
             root = self._arrival_weight(at, last)
         elif self.filtered:
             root = self._information(Y, fixed)
         return NonlinearStart(at, x, square, last, root, nodes[anchor if closed else anchor + 1 :], closed, False)
+
+    def _last_before(self, node: HistoryNode, later: Sequence[HistoryNode], t: float, counted: float) -> float:
+        """When the last sample that counts was, as a window that begins at or after a node takes it."""
+        if node.sample.y is not None:
+            return node.counted
+        taken = next((each.t for each in later if each.counted == each.t), t if counted == t else None)
+        return counted if taken is None else self.loop.since(node, taken)
 
     def _arrival_weight(self, t: float, last: float) -> Array:
         """Return the root of P(tau), scaled; beyond the certified gaps of P at the longest one."""

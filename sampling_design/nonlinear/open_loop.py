@@ -121,10 +121,16 @@ class NonlinearLoop:
                 covered = error_bound.holds(path) and error_bound.drives(np.array([u, later]))
         return OpenLoopEnd(x, Y, covered)
 
-    def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> tuple[Array, Array, float, str]:
+    def begun(self, node: HistoryNode, last: float) -> float:
+        """The bound on V at a node whose P(tau) counts from `last`, for a prior perhaps not as its own does."""
+        if self.error_bound is None or last == node.counted or not np.isfinite(node.beta):
+            return node.beta
+        return self.error_bound.largest(node.t, last, node.x, prior=True)
+
+    def ahead(self, state: EstimatorState, node: HistoryNode, t: float, last: float) -> tuple[Array, Array, float, str]:
         """Return state, covariance to first order, bound on V and what went wrong, in words: open loop from a node.
 
-        The state is in X; if even the open loop fails it is the node's estimate.
+        The state is in X; if even the open loop fails it is the node's estimate. P(tau) counts from `last`.
         """
         nothing = unknown(node.x.size)
         try:
@@ -133,10 +139,8 @@ class NonlinearLoop:
             return node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
         Y = nothing if Y is None else Y
         square, error_bound = float("inf"), self.error_bound
-        if error_bound is not None and np.isfinite(node.beta):
-            last = self.since(node, t) if t > node.t else node.counted
-            if covered and np.isfinite(error_bound.age(t, last)):
-                square = error_bound.ahead(node.beta, node.t, t)
+        if error_bound is not None and covered and np.isfinite(error_bound.age(t, last)):
+            square = error_bound.ahead(self.begun(node, last), node.t, t)
         kept, words = self._projected(x, self.input(state, t))
         return kept, Y, square if kept is x else np.inf, words
 
@@ -236,10 +240,8 @@ class NonlinearLoop:
         node = state.nodes[state.node_before(t)]
         if node.t == t:
             return node.estimate
-        x, Y, square, trouble = self.ahead(state, node, t)
-        status: Status = "solver failed" if "fails" in trouble else "predicted"
         last = self.since(node, t)
+        x, Y, square, trouble = self.ahead(state, node, t, last)
+        status: Status = "solver failed" if "fails" in trouble else "predicted"
         scheduled = node.scheduled and (self.error_bound is None or bool(np.isfinite(self.error_bound.age(t, last))))
-        if self.error_bound is not None and last != node.counted and np.isfinite(square):
-            square = self.error_bound.ahead(self.error_bound.largest(node.t, last, node.x, prior=True), node.t, t)
         return self.estimate(t, x, status, Y, square, last, trouble, scheduled)

@@ -116,7 +116,7 @@ def test_a_box_that_no_bound_holds_says_that_there_is_no_radius():
 
 @pytest.mark.parametrize(("typical", "certified", "most"), [(0.1, True, 150), (0.01, False, 250)])
 def test_a_mismatch_that_weighs_much_at_first_takes_short_steps_at_first_alone(typical, certified, most, monkeypatch):
-    """The first error is large against what lasts, so that steps are short where it is; nothing is walked for minutes."""
+    """The first error is large against what lasts: steps are short where it is, and nothing is walked for minutes."""
     walked, stepped = [], MismatchLoop._stepped
 
     def counted(self, *given):

@@ -19,7 +19,7 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import pendulum
 from sampling_design.nonlinear.inclusion_bound import InclusionBound
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
@@ -173,6 +173,31 @@ def test_what_a_region_leaves_the_truth_is_counted_from_the_estimate_wherever_it
     most = bound.largest(0.5, 0.0, np.array(x), prior=False)
     assert worst <= most * (1 + 1e-12)
     assert most < 3 * worst
+
+
+@pytest.mark.parametrize("begins", few(["sample", "horizon"], 1))
+@pytest.mark.parametrize("first", [0.0, 0.3])
+def test_before_any_sample_counts_a_prior_is_weighed_as_what_is_made_of_it(first, begins):
+    """A sample of one output alone does not count, and may come sooner after the prior than any gap is."""
+    A = np.diag([-3.0, -0.5])
+    plant = from_linear(Plant(A, np.eye(2), G=np.zeros((2, 1)))).with_bounds(disturbances=(0, 0), noises=(0, 0))
+    made = certify_inclusion(plant, GapRange(1.0, 1.5), eta=0.1, pieces=3)
+    with pytest.warns(GuaranteeWarning, match="the horizon 0.5 must exceed"):
+        estimator = NonlinearMovingHorizonEstimator(
+            plant, made, initial_error=1.0, horizon=0.5, cost=CostFunction(begins=begins),
+            collocation=Collocation(0.5, 2, capacity=8),
+        )  # fmt: skip
+    ratios = []
+    for angle in (0.02, 0.8, 1.55):
+        x = np.array([np.cos(angle), np.sin(angle)])
+        estimator.start()
+        for step, t in enumerate([first, 0.8, 1.3, 1.9]):
+            y = np.exp(np.diag(A) * t) * x
+            found = estimator.update(t, np.where(np.arange(2) == step % 2, y, np.nan) if step < 3 else y)
+            assert found.certified == (t < 1.5), found.note
+            ratios.append(found.ratio(np.exp(np.diag(A) * t) * x) if found.certified else 0.0)
+    assert max(ratios) <= 1.0
+    assert max(ratios) > 0.5
 
 
 def test_samples_that_come_too_early_do_no_harm():

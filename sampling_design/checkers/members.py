@@ -154,6 +154,7 @@ def outputs(c: Inclusion) -> Members:
 JUMP = "P(0) < P(tau) + C'R~C"
 BELOW = 1e-10  # share by which R~ is taken smaller than its floats, so that its own inequality has room
 MOST_SETS = 20_000  # sets of C that are tried for one pattern of outputs
+AT_ONCE = 16  # of these looked at together: more cost less each, and come later to an end that one of them decides
 PRICE = 4  # work of one matrix, in microseconds
 
 
@@ -230,30 +231,39 @@ class Jump:
 def over_set(found: Members, jump: Jump, work: WorkLimit) -> float:
     """The least slack over all C of a box or a list."""
     slack, spent = 1.0, 0
-    every: list[tuple[Array, Index]] = [(found.points, np.arange(len(jump.gained)))]
+    every = {tuple(range(len(jump.gained))): [found.points]}  # sets of C, by the samples that are still open there
     while every:
-        points, some = every.pop()
-        spent += 1
-        work.spend(PRICE * 3 * len(points) * len(some))
-        C, EC = found.at(points)
-        below, above = jump.bounds(C, EC, C, some)
-        k, i = np.unravel_index(int(np.argmin(above)), above.shape)
-        if above[k, i] < 0:
-            amount, tau = float(above[k, i]), float(jump.taus[some[i]])
-            what = f"{JUMP} fails by {-amount:.3g} of the size of its terms at tau = {tau:.6g}{found.name(points[k])}"
+        samples, held = every.popitem()
+        if len(held) > AT_ONCE:
+            every[samples] = held[:-AT_ONCE]
+        sets, some = np.stack(held[-AT_ONCE:]), np.array(samples)
+        count, corners = sets.shape[:2]
+        spent += count
+        work.spend(PRICE * 3 * count * corners * len(some))
+        C, EC = found.at(sets.reshape(count * corners, -1))
+        below, above = (X.reshape(count, corners, -1) for X in jump.bounds(C, EC, C, some))
+        s, k, i = np.unravel_index(int(np.argmin(above)), above.shape)
+        if above[s, k, i] < 0:
+            amount, tau = float(above[s, k, i]), float(jump.taus[some[i]])
+            name = found.name(sets[s, k])
+            what = f"{JUMP} fails by {-amount:.3g} of the size of its terms at tau = {tau:.6g}{name}"
             raise Refused(JUMP, what, amount, tau)
-        weakest = int(np.argmin(below.min(axis=1)))
-        best = below.min(axis=0) if len(points) == 1 else np.full(len(some), -np.inf)
-        for B in [C[weakest], C.mean(axis=0)] if len(points) > 1 else []:
-            best = np.maximum(best, jump.bounds(C, EC, np.broadcast_to(B, C.shape), some)[0].min(axis=0))
+        best = below[:, 0]
+        if corners > 1:
+            each, weakest = C.reshape(count, corners, *C.shape[1:]), below.min(axis=2).argmin(axis=1)
+            tangents = np.concatenate([each[np.arange(count), weakest], each.mean(axis=1)])
+            B = np.repeat(tangents, corners, axis=0)
+            under = jump.bounds(np.concatenate([C, C]), np.concatenate([EC, EC]), B, some)[0]
+            best = under.reshape(2, count, corners, -1).min(axis=2).max(axis=0)
         slack = min(slack, float(best[best > 0].min(initial=1.0)))
-        rest = some[~(best > 0)]
-        if not rest.size:
-            continue
-        if len(points) == 1 or spent > MOST_SETS or work.over:
-            amount, tau = float(best.min()), float(jump.taus[some[int(np.argmin(best))]])
-            raise Undecided(JUMP, f"{JUMP} could not be decided: it is tight or nearly so", amount, tau)
-        every += [(half, rest) for half in found.halves(points)]
+        for points, own in zip(sets, best, strict=True):
+            rest = some[~(own > 0)]
+            if not rest.size:
+                continue
+            if corners == 1 or spent > MOST_SETS or work.over:
+                amount, tau = float(own.min()), float(jump.taus[some[int(np.argmin(own))]])
+                raise Undecided(JUMP, f"{JUMP} could not be decided: it is tight or nearly so", amount, tau)
+            every.setdefault(tuple(rest.tolist()), []).extend(found.halves(points))
     return slack
 
 

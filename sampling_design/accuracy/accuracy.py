@@ -9,8 +9,8 @@ import numpy as np
 from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket, AccuracyProfile
 from sampling_design.accuracy.between_samples import speed_of
 from sampling_design.accuracy.bounded_directions import GapProof
-from sampling_design.accuracy.bounds import Bound, InitialError, NoiseBound
-from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
+from sampling_design.accuracy.bounds import Bound, NoiseBound
+from sampling_design.accuracy.deviation import StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.results_out import SAME
 from sampling_design.accuracy.sampled_system import SampledSystem
@@ -27,6 +27,7 @@ from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import above, below
 from sampling_design.records.signatures import open_verb
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -43,13 +44,13 @@ def guaranteed_accuracy(
     *,
     w_bound: Bound = None,
     v_bound: NoiseBound = None,
-    initial_error: InitialError = None,
+    initial_error: VectorBound = None,
     of: Wanted = None,
     timing_tolerance: Timing = 0.0,
     start: float | None = None,
     end: float | None = None,
-    w_intensity: Intensity = None,
-    v_deviation: Intensity = None,
+    w_intensity: VectorBound = None,
+    v_deviation: VectorBound = None,
     rtol: float | None = None,
     budget: float | None = None,
     progress: Progress | None = None,

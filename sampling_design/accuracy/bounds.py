@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias, TypeGuard
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_number, is_table
+from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.linalg import symmetrise
@@ -17,15 +17,13 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.records.vector_bounds import Entry, VectorBound, half_and_centre, named_bounds, vector_bound
 from sampling_design.schedules.sensor import Sensor
 
-Entry: TypeAlias = float | tuple[float, float]
 Given: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | Callable[[float], npt.ArrayLike | tuple[float, float]]
 Bound: TypeAlias = Given | None
 NoiseBound: TypeAlias = Bound | Mapping[str, Entry | Sensor]
 """A number, entries, a mapping from names to numbers or pairs; for noise also rows per sample or functions of time."""
-
-InitialError: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | None
 
 NOTHING = 1e-10
 """A rest below this share of the target counts as none where the start is free: rounding, all being of size one."""
@@ -46,14 +44,15 @@ class BoundedSet:
         return cls(freeze(centre), freeze(np.diag(half)), ball)
 
     @classmethod
-    def of(cls, name: str, bound: npt.ArrayLike | None, n: int) -> BoundedSet:
-        """Return the set about 0 as typed by a user: a number (Euclidean), one for each entry, or None.
+    def of(cls, name: str, bound: VectorBound, names: tuple[str, ...]) -> BoundedSet:
+        """Return the set about 0 as typed by a user: a number (Euclidean), one for each entry or by name, or None.
 
-        Raises ArgumentError if it is negative or of another shape.
+        Raises ArgumentError if it is negative, of another shape, or not about 0.
         """
+        n = len(names)
         if bound is None:
             return cls(freeze(np.zeros(n)), freeze(np.zeros((n, n))), False, unbounded=True)
-        size = checks.bound(name, bound, n)
+        size = vector_bound(name, bound, names)
         return cls.box(np.zeros(n), np.broadcast_to(size, (n,)), size.ndim == 0 and n > 1)
 
     @property
@@ -280,7 +279,7 @@ class InitialSet:
         return InitialSet.within(self.S / unit[:, None] @ change, self.ball)
 
     @classmethod
-    def of(cls, plant: Plant, value: InitialError) -> InitialSet:
+    def of(cls, plant: Plant, value: VectorBound) -> InitialSet:
         """Return the set as typed by a user.
 
         A number bounds the Euclidean norm, a vector each entry (infinite: unknown), a symmetric matrix P means e'P e <=
@@ -327,39 +326,3 @@ def _half_widths(value: object, n: int) -> Array:
             f"or a mapping from names of states, got {checks.described(value)}."
         )
     return half
-
-
-def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Return half-widths (infinite of a name that is left out) and centres of a mapping from names to numbers or pairs.
-
-    Raises ArgumentError if a name is unknown, a number negative or a pair in the wrong order.
-    """
-    checks.known_keys(f"`{argument}`", [str(key) for key in value], names)
-    half, centre = np.full(len(names), np.inf), np.zeros(len(names))
-    for name, entry in value.items():
-        at = names.index(name)
-        half[at], centre[at] = half_and_centre(f"{argument}[{name!r}]", entry)
-    return half, centre
-
-
-def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
-    """Return half-width and centre of a number (about 0) or a pair (lower, upper); what is one-sided is unbounded.
-
-    Raises ArgumentError if the number is negative, or the pair in the wrong order.
-    """
-    if isinstance(entry, tuple):
-        if len(entry) != 2:
-            raise ArgumentError(f"`{argument}` must be a number or a pair (lower, upper), got {entry!r:.60}.")
-        low, high = (float(x) if _is_infinite(x) else checks.number(argument, x) for x in entry)
-        if low > high:
-            raise ArgumentError(f"`{argument}` must be a pair (lower, upper), got {entry!r:.60}: lower exceeds upper.")
-        if np.isinf(low) or np.isinf(high):
-            return np.inf, 0.0
-        return (high - low) / 2, (high + low) / 2
-    if _is_infinite(entry) and entry == np.inf:
-        return np.inf, 0.0
-    return checks.nonnegative(argument, entry), 0.0
-
-
-def _is_infinite(value: object) -> TypeGuard[float]:
-    return is_number(value) and bool(np.isinf(value))

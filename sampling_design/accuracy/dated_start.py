@@ -202,7 +202,7 @@ def start_of_dated(
     x = _fitted(unread, samples, flows, noise, before)
     here = replace(unread, disturbance=replace(disturbance, root=np.zeros_like(disturbance.root)))
     still = replace(disturbance, centre=np.zeros(plant.n_disturbances))
-    unknown = BoundedSet.of("initial_error", None, plant.n_states)
+    unknown = BoundedSet.of("initial_error", None, plant.states.names)
     apart = Readings.unread(plant, still, unknown, unread.begin)  # of d, which nothing else drives
     censored: list[_RowLimit] = []
     for item, M, size, middle in zip(samples, flows, *noise, strict=True):

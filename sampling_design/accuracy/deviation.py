@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import SEMIDEFINITE
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, strong
+from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
@@ -23,9 +22,8 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, TableRecord, moment, short
 from sampling_design.records.signatures import checked
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Intensity: TypeAlias = npt.ArrayLike | None
 
 POINTS = 64  # offsets in each gap at which the profile stands
 
@@ -103,8 +101,8 @@ def standard_deviation(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
     *,
-    w_intensity: Intensity = None,
-    v_deviation: Intensity = None,
+    w_intensity: VectorBound = None,
+    v_deviation: VectorBound = None,
     of: Wanted = None,
     start: float | None = None,
     end: float | None = None,
@@ -118,10 +116,10 @@ def standard_deviation(
     plant : Plant
     schedule : PeriodicSchedule or Schedule
         Periodic: in the periodic limit. Finite: from a start of which nothing is known.
-    w_intensity : float, (q,) or (q, q) array
+    w_intensity : float, (q,) or (q, q) array, or mapping
         Intensity W of the white noise w [unit of w squared times the plant's time unit]: a number for every entry, one
-        for each entry, or a positive semidefinite matrix.
-    v_deviation : float, (p,) or (N, p) array
+        for each entry or by name, or a positive semidefinite matrix.
+    v_deviation : float, (p,) or (N, p) array, or mapping
         Standard deviation of the noise of a sample [units of the outputs].
     of : str, sequence of str, or (r, n) array, optional
         Names of states or outputs, or rows of a matrix. Default all states.
@@ -164,7 +162,7 @@ def standard_deviation(
 
 
 def deviations(
-    question: AccuracyQuestion, rows: RequestedRows, w_intensity: Intensity, v_deviation: Intensity
+    question: AccuracyQuestion, rows: RequestedRows, w_intensity: VectorBound, v_deviation: VectorBound
 ) -> StandardDeviation:
     """Return the standard deviations for the schedule of a question."""
     plant, schedule = question.plant, question.schedule
@@ -298,20 +296,15 @@ def _mean(parts: list[Array], offsets: list[Array]) -> float:
     return float(np.sqrt(total / length)) if length else np.inf
 
 
-def _intensity(plant: Plant, value: Intensity) -> Array:
+def _intensity(plant: Plant, value: VectorBound) -> Array:
     q = plant.n_disturbances
     if value is None:
         raise ArgumentError(
             "`w_intensity` is missing: give the intensity of the white noise w [its unit squared times "
             f"{plant.time_unit}], 0 where there is none."
         )
-    if checks.dimensions(value) == 0:
-        return np.eye(q) * checks.nonnegative("w_intensity", value)
-    if checks.dimensions(value) == 1:
-        entries = checks.vector("w_intensity", value, q)
-        if np.any(entries < 0):
-            raise ArgumentError(f"`w_intensity` must not be negative, got {float(entries.min())!r}.")
-        return np.diag(entries)
+    if is_table(value) or checks.dimensions(value) < 2:
+        return np.eye(q) * vector_bound("w_intensity", value, plant.disturbances.names)
     matrix = checks.symmetric("w_intensity", value, q)
     sizes = np.sqrt(np.abs(np.diag(matrix)))
     unit = matrix / np.outer(np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, sizes, 1.0))
@@ -320,16 +313,15 @@ def _intensity(plant: Plant, value: Intensity) -> Array:
     return np.array(matrix)
 
 
-def _deviation(plant: Plant, samples: int, value: Intensity) -> Array:
+def _deviation(plant: Plant, samples: int, value: VectorBound) -> Array:
     p = plant.n_outputs
     if value is None:
         raise ArgumentError(
             f"`v_deviation` is missing: give the standard deviation of the noise of {', '.join(plant.outputs.names)}."
         )
-    if checks.dimensions(value) == 0:
-        return np.full((samples, p), checks.nonnegative("v_deviation", value))
-    rows = checks.matrix("v_deviation", value, samples, p) if checks.dimensions(value) == 2 else None
-    array = np.array(np.broadcast_to(checks.vector("v_deviation", value, p) if rows is None else rows, (samples, p)))
+    if is_table(value) or checks.dimensions(value) < 2:
+        return np.full((samples, p), vector_bound("v_deviation", value, plant.outputs.names))
+    array = np.array(checks.matrix("v_deviation", value, samples, p))
     if np.any(array < 0):
         raise ArgumentError(f"`v_deviation` must not be negative, got {float(array.min())!r}.")
     return array

@@ -28,6 +28,7 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, TableRecord, above, below, counted, moment
 from sampling_design.records.signatures import checked
+from sampling_design.records.vector_bounds import VectorBound
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -282,7 +283,7 @@ def state_interval(
     prior_time: float | None = None,
     w_bound: Bound = None,
     v_bound: Bound = None,
-    initial_error: npt.ArrayLike | None = None,
+    initial_error: VectorBound = None,
     of: Wanted = None,
     outliers: int | tuple[int, int] = 0,
 ) -> Interval:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.bounds import Bound, InitialError, InitialSet, NoiseBound, SignalBounds
+from sampling_design.accuracy.bounds import Bound, InitialSet, NoiseBound, SignalBounds
 from sampling_design.accuracy.finite import finite_directions, finite_system
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sampled_system import SampledSystem, periodic_system
@@ -18,6 +18,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.schedules.sensor import Sensor, result_span
@@ -61,7 +62,7 @@ class AccuracyQuestion:
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: NoiseBound,
-        initial_error: InitialError = None, start: float | None = None, end: float | None = None,
+        initial_error: VectorBound = None, start: float | None = None, end: float | None = None,
         late: TimingTolerance = ON_TIME,
     ) -> AccuracyQuestion:  # fmt: skip
         """Ask about a schedule of either kind, whose samples may be so early or late, and results so much later.

@@ -29,6 +29,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.vector_bounds import VectorBound
 
 MOST_CASES = 3000  # sets of samples that may be left out: some seconds for a small plant
 
@@ -58,7 +59,7 @@ def read_record(
     record: Iterable[Arrived],
     w_bound: Bound,
     v_bound: Bound,
-    initial_error: npt.ArrayLike | None,
+    initial_error: VectorBound,
     prior: npt.ArrayLike | None,
     prior_time: float | None,
     also: float | None = None,
@@ -86,7 +87,7 @@ def read_record(
     centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
     disturbance = BoundedSet.box(centre_w, bounds.w, bounds.w_ball)
     centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
-    error = replace(BoundedSet.of("initial_error", initial_error, plant.n_states), centre=centre)
+    error = replace(BoundedSet.of("initial_error", initial_error, plant.states.names), centre=centre)
     unread = Readings.unread(plant, disturbance, error, start, bounds.v_ball, inputs)
     proven = start_of_dated(unread, samples, (bounds.v, centre_v)) if spans and error.unbounded else None
     unread = unread if proven is None else replace(unread, start=proven)

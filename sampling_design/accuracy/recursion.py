@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_record import Accuracy
-from sampling_design.accuracy.bounds import InitialError, InitialSet
+from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
@@ -20,6 +20,7 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, above, short
 from sampling_design.records.signatures import checked
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.family import period_of
 
 FORGOTTEN = 1e-13  # share of a radius below which the start no longer counts: it is added once more, and then left out
@@ -115,7 +116,7 @@ class PeriodicGains:
 
     @checked
     def __init__(
-        self, found: Accuracy, *, prior: npt.ArrayLike | None = None, initial_error: InitialError = None, first: int = 0
+        self, found: Accuracy, *, prior: npt.ArrayLike | None = None, initial_error: VectorBound = None, first: int = 0
     ) -> None:
         plant, finite = found.plant, "`found` must be the accuracy of a periodic schedule, got that of one that ends."
         schedule = period_of(found.schedule, finite)

@@ -17,6 +17,7 @@ from sampling_design.accuracy.bounds import NoiseBound
 from sampling_design.accuracy.projection import Projection
 from sampling_design.accuracy.sample_counts import AccuracyByCount
 from sampling_design.cli import files
+from sampling_design.cli.estimate import known_bounds
 from sampling_design.cli.options import (
     UNBOUNDED,
     BoundOptions,
@@ -95,7 +96,16 @@ def accuracy(
     Example: sampling-design accuracy examples/plants/oscillator.toml out/schedule.csv --w 0.02 --v 0.4
     """
     plant = files.plant(plant_file)
-    bounds, names = typed.of(plant), listed(of)
+    planned = files.plan_in(plant_file if schedule_file is None else schedule_file)
+    bounds, names = known_bounds(settings, plant, plant, typed.of(plant), planned, endless=True), listed(of)
+    for flag, bound, signals in (
+        ("--w-bound", bounds["w_bound"], plant.disturbances), ("--v-bound", bounds["v_bound"], plant.outputs),
+    ):  # fmt: skip
+        if bound is None:
+            raise ArgumentError(
+                f"`{flag}` is missing{', and the plan has none' if planned else ''}: without a bound on "
+                f"{', '.join(signals.names)} nothing can be guaranteed. Give 0 where there is none."
+            )
     v = _noise(plant, bounds["v_bound"], times.result_delay)
     seconds = None if budget is None else positive("budget", budget)
     w, rows = bounds["w_bound"], names or None

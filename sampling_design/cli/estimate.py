@@ -26,6 +26,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.record import short
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 
 
 def estimate(
@@ -93,34 +94,34 @@ def estimate(
 
 
 def known_bounds(
-    settings: Settings, plant: sd.Plant, full: sd.Plant, typed: ErrorBoundArguments, planned: Plan | None
-) -> ErrorBoundArguments:
-    """The bounds as they were typed, else those that a plan was made with.
+    settings: Settings, plant: sd.Plant, full: sd.Plant, typed: ErrorBoundArguments, planned: Plan | None, *,
+    endless: bool = False,
+) -> ErrorBoundArguments:  # fmt: skip
+    """The bounds as they were typed, else those that a plan was made with, where they are about signals of the plant.
 
-    Raises ArgumentError if the plan is for another plant, of whose signals its bounds say nothing.
+    An `endless` question has no start and takes no initial error of a plan.
+
+    Raises ArgumentError if a plan for another plant bounds signals that this one has not.
     """
     if planned is None:
         return typed
-    own = planned.error_bounds
-    if settings.of is not None:  # of the part that rows need, whose states are others
-        same = all(
-            getattr(plant, kind).names == getattr(planned.plant, kind).names for kind in ("disturbances", "outputs")
-        )
-        own = ErrorBoundArguments(
-            w_bound=own["w_bound"] if same else None, v_bound=own["v_bound"] if same else None, initial_error=None
-        )
-    found = ErrorBoundArguments(
-        w_bound=own["w_bound"] if typed["w_bound"] is None else typed["w_bound"],
-        v_bound=own["v_bound"] if typed["v_bound"] is None else typed["v_bound"],
-        initial_error=own["initial_error"] if typed["initial_error"] is None else typed["initial_error"],
-    )
-    for (name, used), said in zip(found.items(), typed.values(), strict=True):
-        if said is None and used is not None:
-            flag = f"--{name.replace('_', '-')}"
-            if other := first_difference(full, planned.plant):
-                raise ArgumentError(f"`{flag}` is missing, and the plan is for another plant: {other}. Give the bound.")
-            settings.notice(f"{flag} not given: that of the plan, {short(used)}, is used.")
-    return found
+    found: dict[str, VectorBound] = dict(typed)  # type: ignore[arg-type]
+    own, other = planned.error_bounds, first_difference(full, planned.plant)
+    theirs: dict[str, VectorBound] = dict(own)  # type: ignore[arg-type]
+    for name, kind in {"w_bound": "disturbances", "v_bound": "outputs", "initial_error": "states"}.items():
+        if found[name] is not None or theirs[name] is None or (endless and kind == "states"):
+            continue
+        flag, ours, planned_for = f"--{name.replace('_', '-')}", getattr(plant, kind), getattr(planned.plant, kind)
+        same = (ours.names, ours.units) == (planned_for.names, planned_for.units)
+        if plant is not full and (kind == "states" or not same):
+            continue  # of the part that rows need, whose states are others
+        if not same or plant.time_unit != planned.plant.time_unit:
+            raise ArgumentError(f"`{flag}` is missing, and the plan is for another plant: {other}. Give the bound.")
+        found[name] = theirs[name]
+        whose = f", which is for another plant: {other}" if other else ""
+        said = short(vector_bound(name, found[name], ours.names))
+        settings.notice(f"{flag} not given: that of the plan, {said}, is used{whose}.")
+    return ErrorBoundArguments(w_bound=found["w_bound"], v_bound=found["v_bound"], initial_error=found["initial_error"])
 
 
 def or_scales(plant: sd.Plant, bounds: ErrorBoundArguments) -> ErrorBoundArguments:

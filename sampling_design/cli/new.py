@@ -14,10 +14,9 @@ from typing import Annotated
 import typer
 
 import sampling_design as sd
-from sampling_design.cli.options import listed
+from sampling_design.cli.options import by_name, listed
 from sampling_design.cli.requirement_flags import (
     RequirementFlags,
-    by_name,
     plan_requirement,
     positive_times,
     requirement,

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import known_keys
 from sampling_design.schedules.jitter import EarlyLate, Timing
 from sampling_design.schedules.sensor import duration
 
@@ -61,7 +63,7 @@ TimingOption = Annotated[
 ]
 """What is said then holds at all such times."""
 
-_FORM = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
+_FORM = "One number bounds the norm; numbers or NAME=NUMBER with commas between bound each entry; 0 for none."
 DisturbanceBound = Annotated[
     str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {_FORM}")
 ]
@@ -96,10 +98,36 @@ def listed(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
+def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str], least: float = 0.0) -> dict[str, float]:
+    """Values as NAME=VALUE with commas between; one number without a name holds for each of `alone`."""
+    found: dict[str, float] = {}
+    for part in listed(text):
+        name, equals, number = part.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = np.inf
+        alone_of_many = not equals and "," in text.strip(" ,")
+        if not least <= value < np.inf or alone_of_many or (name.strip() in found):
+            raise ArgumentError(
+                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between, got {text!r:.60}. Decimals have "
+                "a point, not a comma."
+            )
+        keys = [name.strip()] if equals else list(alone)
+        known_keys(f"`{flag}`", keys, names)
+        found |= dict.fromkeys(keys, value)
+    return found
+
+
 def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | list[float] | None:
-    """None, one number, or numbers with commas between: one for each name, where names are given."""
+    """None, one number, or numbers with commas between: one for each name, or NAME=NUMBER, where names are given."""
     if text is None:
         return None
+    if names and "=" in text:
+        named = by_name(flag, text, names, names, -np.inf)
+        if lost := [name for name in names if name not in named]:
+            raise ArgumentError(f"`{flag}` is missing for {', '.join(lost)}: give a number, 0 for none.")
+        return [named[name] for name in names]
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated
@@ -12,9 +11,8 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design.cli.options import listed, number_or_text
+from sampling_design.cli.options import by_name, listed, number_or_text
 from sampling_design.errors import ArgumentError
-from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
 from sampling_design.schedules.sensor import duration
@@ -68,27 +66,6 @@ def positive_times(flag: str, text: str, unit: str) -> list[float]:
         raise ArgumentError(
             f'`{flag}` must be positive numbers of {unit}, or times like "3 d", with commas between, got {text!r:.40}.'
         ) from None
-
-
-def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str]) -> dict[str, float]:
-    """Values as NAME=VALUE with commas between; one number without a name holds for each of `alone`."""
-    found: dict[str, float] = {}
-    for part in listed(text):
-        name, equals, number = part.rpartition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            value = -1.0
-        alone_of_many = not equals and "," in text.strip(" ,")
-        if not 0 <= value < np.inf or alone_of_many or (name.strip() in found):
-            raise ArgumentError(
-                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between, got {text!r:.60}. Decimals have "
-                "a point, not a comma."
-            )
-        keys = [name.strip()] if equals else list(alone)
-        known_keys(f"`{flag}`", keys, names)
-        found |= dict.fromkeys(keys, value)
-    return found
 
 
 def week(text: str, weekend: bool) -> WeekHours | None:

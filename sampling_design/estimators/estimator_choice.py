@@ -25,6 +25,7 @@ from sampling_design.records import checks
 from sampling_design.records.budget import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked, open_verb
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import Schedule
@@ -116,9 +117,9 @@ def estimator_for(
     eta: float | None = None,
     horizon: float | None = None,
     prior: npt.ArrayLike | None = None,
-    w_bound: npt.ArrayLike | None = None,
-    v_bound: npt.ArrayLike | None = None,
-    initial_error: npt.ArrayLike | None = None,
+    w_bound: VectorBound = None,
+    v_bound: VectorBound = None,
+    initial_error: VectorBound = None,
     of: Wanted = None,
     progress: Progress | None = None,
 ) -> RecordEstimator:

@@ -41,6 +41,7 @@ from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+from sampling_design.records.vector_bounds import VectorBound
 
 NO_CLAIM = "No a-priori claim: a filter, not the estimator of the certificate."
 
@@ -95,9 +96,9 @@ class KalmanFilter(WindowedEstimator):
         cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
-        initial_error: npt.ArrayLike | None = None,
+        w_bound: VectorBound = None,
+        v_bound: VectorBound = None,
+        initial_error: VectorBound = None,
         input_side: str = "right",
         maximum_delay: float = 0.0,
         of: Wanted = None,

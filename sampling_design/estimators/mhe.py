@@ -42,6 +42,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RowArguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.jitter import Timing
 
 if TYPE_CHECKING:
@@ -150,9 +151,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
         constraints: Constraints | None = None,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
-        initial_error: npt.ArrayLike | None = None,
+        w_bound: VectorBound = None,
+        v_bound: VectorBound = None,
+        initial_error: VectorBound = None,
         timing_tolerance: Timing = 0.0,
         schedule_zero: float = 0.0,
         input_side: str = "right",

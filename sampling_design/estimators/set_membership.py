@@ -10,6 +10,7 @@ from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
+from sampling_design.records.vector_bounds import VectorBound
 
 
 class SetMembershipEstimator(KalmanFilter):
@@ -60,9 +61,9 @@ class SetMembershipEstimator(KalmanFilter):
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
         constraints: Constraints | None = None,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
-        initial_error: npt.ArrayLike | None = None,
+        w_bound: VectorBound = None,
+        v_bound: VectorBound = None,
+        initial_error: VectorBound = None,
         input_side: str = "right",
         maximum_delay: float = 0.0,
         of: Wanted = None,

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy.typing as npt
 
-from sampling_design.accuracy.bounds import InitialError
 from sampling_design.checkers.strict import is_table
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import MissingExtraError
@@ -15,6 +14,7 @@ from sampling_design.explorer.server import MODULE
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
 from sampling_design.records.signatures import checked
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 class ExplorerOptions(TypedDict, total=False):
     """What a `ScheduleExplorer` takes beside plant, requirement and schedule."""
 
-    w_bound: npt.ArrayLike
-    v_bound: npt.ArrayLike
+    w_bound: VectorBound
+    v_bound: VectorBound
     tolerance: npt.ArrayLike
     projection: tuple[str, str]
-    initial_error: InitialError
+    initial_error: VectorBound
     folder: str
     words: str
 

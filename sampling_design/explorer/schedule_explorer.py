@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
-from sampling_design.accuracy.bounds import InitialError
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.existence.periodic import certificate_exists, judged
@@ -33,6 +32,7 @@ from sampling_design.records.declarations import above, below, plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.records.units import readable_unit
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -90,11 +90,11 @@ class ScheduleExplorer:
         requirement: Requirement | PlanRequirement | None = None,
         schedule: PeriodicSchedule | None = None,
         *,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
+        w_bound: VectorBound = None,
+        v_bound: VectorBound = None,
         tolerance: npt.ArrayLike | None = None,
         projection: tuple[str, str] | None = None,
-        initial_error: InitialError = None,
+        initial_error: VectorBound = None,
         folder: str | Path | None = None,
         words: str = "",
     ) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import MATRICES, CostFunction
@@ -16,9 +15,9 @@ from sampling_design.estimators.online.schedule_watch import ROUNDINGS
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
-from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Plain
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 ROUNDING = 1e-9
@@ -67,7 +66,7 @@ class InclusionBound:
         Bound on |x - prior|, together or entry by entry.
     """
 
-    def __init__(self, certificate: InclusionCertificate, plant: NonlinearPlant, initial_error: npt.ArrayLike | None):
+    def __init__(self, certificate: InclusionCertificate, plant: NonlinearPlant, initial_error: VectorBound):
         if certificate.kind != "nonlinear":
             raise ArgumentError(
                 "`certificate` must be the InclusionCertificate of a nonlinear plant, from "
@@ -88,7 +87,8 @@ class InclusionBound:
             )
         self.shortest, self.longest = certificate.min_gap, certificate.d_max
         self.eta = certificate.eta
-        self._initial = None if initial_error is None else checks.bound("initial_error", initial_error, plant.n_states)
+        states = plant.states.names
+        self._initial = None if initial_error is None else vector_bound("initial_error", initial_error, states)
         self.w_square = _square(certificate.Qw, plant.bounds["disturbances"])
         self.v_square = _square(certificate.Rtilde, plant.bounds["noises"])
         self._bounded = bool(np.isfinite([self.region.lower, self.region.upper]).all())

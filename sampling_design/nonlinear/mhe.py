@@ -31,6 +31,7 @@ from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 SAME_TIME = 1e-12
@@ -173,7 +174,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
-        initial_error: npt.ArrayLike | None = None,
+        initial_error: VectorBound = None,
         collocation: Collocation | None = None,
         solver: WindowSolver | None = None,
         outliers: OutlierRejection | None = None,

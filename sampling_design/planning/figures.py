@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +12,7 @@ from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.checkers.strict import is_number
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import discretize
@@ -23,6 +23,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import PlainRecord, TableRecord, above
 from sampling_design.records.units import SECONDS, spoken
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.schedules.sensor import Sensor
@@ -190,12 +191,17 @@ class PlanFigures(TableRecord, PlainRecord):
 
     @property
     def error_bounds(self) -> ErrorBoundArguments:
-        """The bounds that it was made with, as estimators take them; None where the requirement has none."""
-        wanted, noise = self.requirement, self.problem.v_bound
+        """The bounds that it was made with, as estimators take them; None where the requirement has none.
+
+        An initial error that is no bound on the norm becomes half-widths about 0 that hold it.
+        """
+        wanted, noise, start = self.requirement, self.problem.v_bound, self.problem.initial
+        error: VectorBound = None
+        if start.whole:
+            box = np.abs(start.centre) + [start.support(row, 1.0) for row in np.eye(start.centre.size)]
+            error = wanted.initial_error if is_number(wanted.initial_error) else box
         return ErrorBoundArguments(
-            w_bound=wanted.w_bound,
-            v_bound=noise if np.isfinite(noise).all() else None,
-            initial_error=None if isinstance(wanted.initial_error, Mapping) else wanted.initial_error,
+            w_bound=wanted.w_bound, v_bound=noise if np.isfinite(noise).all() else None, initial_error=error
         )
 
     @property

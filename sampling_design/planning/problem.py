@@ -18,6 +18,7 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.dates import zoned_text
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, spoken, time_factor
+from sampling_design.records.vector_bounds import vector_bound
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.opening import DAYS, week_hours
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -387,4 +388,4 @@ def _intensities(plant: Plant, requirement: PlanRequirement, goals: tuple[RowGoa
     given = requirement.w_intensity
     if given is None or not any(goal.stochastic for goal in goals):
         return np.zeros(plant.n_disturbances)
-    return np.full(plant.n_disturbances, checks.bound("w_intensity", given, plant.n_disturbances))
+    return np.full(plant.n_disturbances, vector_bound("w_intensity", given, plant.disturbances.names))

@@ -7,7 +7,6 @@ from typing import ClassVar, TypeAlias
 
 import numpy.typing as npt
 
-from sampling_design.accuracy.bounds import InitialError
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
@@ -15,11 +14,12 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen, plain
 from sampling_design.records.record import PlainRecord, WrittenRecord, counted, short
 from sampling_design.records.units import check_time_unit
+from sampling_design.records.vector_bounds import Entry, VectorBound
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.opening import OpeningCalendar
 from sampling_design.schedules.sensor import Duration, Sensor, duration
 
-DisturbanceBound: TypeAlias = float | Sequence[float] | None
+DisturbanceBound: TypeAlias = float | Sequence[float] | Mapping[str, Entry] | None
 
 FORMAT = "sampling-design/plan-requirement/1"
 KINDS = ("guaranteed", "standard deviation")
@@ -102,9 +102,9 @@ class PlanRequirement(WrittenRecord):
         "cheapest": least cost (fewest samples where nothing costs) that keeps every tolerance; "most accurate": the
         least ratio of accuracy to tolerance that `samples` or `cost_limit` allow. Default: the latter if one of
         these is given.
-    w_bound : float or (q,) sequence, optional
+    w_bound : float, (q,) sequence or dict by name, optional
         Bound on the disturbance, as for `accuracy`.
-    w_intensity : float or (q,) sequence, optional
+    w_intensity : float, (q,) sequence or dict by name, optional
         Intensity of the disturbance as white noise, as for `standard_deviation` [its unit squared times the plant's
         time unit].
     sensors : dict of str to Sensor or dict
@@ -155,7 +155,7 @@ class PlanRequirement(WrittenRecord):
     calendar: Converted[OpeningCalendar | Mapping[str, object] | None, OpeningCalendar | None] = None  # type: ignore[assignment]
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
-    initial_error: InitialError = None
+    initial_error: VectorBound = None
     timing_tolerance: Timing | None = None
 
     def __post_init__(self) -> None:

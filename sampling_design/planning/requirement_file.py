@@ -32,7 +32,6 @@ _NUMBERS = list_of(nonnegative)
 _time = by_kind({str: text}, nonnegative)
 _early_late = by_kind({list: list_of(_time, 2), tuple: list_of(_time, 2)}, _time)
 _TIMING = by_kind({Mapping: by_name(_early_late)}, _early_late)  # a duration, early and late, or either by output
-_bound = by_kind({list: _NUMBERS, tuple: _NUMBERS}, nonnegative)  # one number, or one for each entry
 _when = by_kind({str: word(*TIMES)}, _NUMBERS)  # a word, or times of the period
 
 
@@ -41,8 +40,10 @@ def _pair(value: object, place: str) -> object:
 
 
 _ENTRIES = by_name(by_kind({list: _pair, tuple: _pair}, nonnegative))
-_error = by_kind({Mapping: _ENTRIES}, by_first({list: matrix(), tuple: matrix()}, _bound))
-"""A bound on the norm, half-widths, a weight, or numbers about 0 and pairs by name."""
+_bound = by_kind({Mapping: _ENTRIES, list: _NUMBERS, tuple: _NUMBERS}, nonnegative)
+"""A bound on the norm, half-widths, or numbers about 0 and pairs by name."""
+
+_error = by_first({list: matrix(), tuple: matrix()}, _bound)  # the same, or a weight
 
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 

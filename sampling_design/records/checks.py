@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers import strict
-from sampling_design.checkers.strict import is_flag, is_list, is_number, is_table, is_text, is_whole, likely
+from sampling_design.checkers.strict import is_flag, is_list, is_number, is_text, is_whole, likely
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Mask
 
@@ -92,21 +92,6 @@ def freeze(array: object) -> Array:
     copy = np.array(array, dtype=np.float64, order="C")
     copy.flags.writeable = False
     return copy
-
-
-def bound(name: str, value: object, length: int) -> Array:
-    """Return a bound on a vector: a number (0-d array), on its Euclidean norm, or a number for each entry.
-
-    Raises ArgumentError if it is negative, not finite, of another length, or goes by names.
-    """
-    if is_table(value):
-        raise ArgumentError(f"`{name}` must be a number or a list of {length} numbers, got {described(value)}.")
-    if dimensions(value) == 0:
-        return np.asarray(nonnegative(name, value))
-    entries = vector(name, value, length)
-    if np.any(entries < 0):
-        raise ArgumentError(f"`{name}` must not be negative, got {float(entries.min())!r}.")
-    return entries
 
 
 def real_array(name: str, value: object, ndim: int) -> Array:

@@ -77,6 +77,25 @@ def date_in(name: str, value: str | datetime, place: tzinfo) -> datetime:
     return date.replace(tzinfo=place)
 
 
+class UnmixedDates:
+    """Dates all with a zone or all without, unless it is `said` which clocks those without one are by."""
+
+    def __init__(self, said: bool):
+        self.said, self._first = said, ("", False)
+
+    def take(self, date: datetime, called: str) -> None:
+        """Take in another date. Raises ArgumentError if it has a zone and the first one has none, or the reverse."""
+        own, (first, theirs) = date.tzinfo is not None, self._first
+        if not first:
+            self._first = called, own
+        elif own != theirs and not self.said:
+            named, plain = (called, first) if own else (first, called)
+            raise ArgumentError(
+                f"{plain} has no zone, and {named} has one: give its offset (+01:00), or say the `zone` of dates "
+                "without one."
+            )
+
+
 def passed(since: datetime, date: datetime) -> timedelta:
     """The real time between two dates with offsets; of two in one zone, Python subtracts what the clocks show."""
     return date.astimezone(UTC) - since.astimezone(UTC)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, tzinfo
 import numpy as np
 
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.records.dates import MICROSECONDS, date_in, passed, time_zone, zoned_date, zoned_text
+from sampling_design.records.dates import MICROSECONDS, UnmixedDates, date_in, passed, time_zone, zoned_date, zoned_text
 from sampling_design.records.file_io import csv_rows, decimal, read_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS, check_time_unit
@@ -46,8 +46,8 @@ def import_time_stamps(
         Columns of measured values: a cell that is not empty (nor nan, NA, null, a dash) says that this output was
         measured; a row without any is left out. Default: every row is a sample of every output.
     zone : str, optional
-        IANA name of the zone of dates without one, that of `origin` too. Default: the offset of `origin`, else UTC.
-        `assumed_zone` of the schedule tells.
+        IANA name of the zone of dates without one, that of `origin` too. Default: the offset of `origin`, else UTC,
+        if no date has a zone. `assumed_zone` of the schedule tells.
 
     Returns
     -------
@@ -60,7 +60,8 @@ def import_time_stamps(
         If `time_unit` or `origin` is not understood, or there is no zone of that name.
     FileFormatError
         If the column is missing, or a cell is no time, comes before `origin`, is not later than the one
-        before, or is a date without a zone that its clocks skip or repeat; the message names the line.
+        before, or is a date without a zone that its clocks skip or repeat, or that stands beside one with a zone; the
+        message names the line.
 
     Notes
     -----
@@ -69,7 +70,10 @@ def import_time_stamps(
     check_time_unit(time_unit)
     place: tzinfo = UTC if zone is None else time_zone(zone)
     zero = None if origin is None else date_in("origin", origin, place)
-    naive = origin is not None and _naive(origin)
+    naive, unmixed = origin is not None and _naive(origin), UnmixedDates(said=zone is not None)
+    if origin is not None:
+        unmixed.take(zoned_date(f"{origin}"), "`origin`")
+        unmixed.said |= not naive
     place = zero.tzinfo or place if zone is None and zero is not None else place
     where = os.fspath(path)
     header, rows = _table(read_text(path), where)
@@ -90,6 +94,10 @@ def import_time_stamps(
         value = None if name == "date" else _number(cell, here)
         if value is None:
             date = _date(cell, place, here)
+            try:
+                unmixed.take(zoned_date(cell), f"line {line}")
+            except ArgumentError as error:
+                raise in_file(error, where) from None
             zero, naive = date if zero is None else zero, naive or _naive(cell)
             value = _since(zero, date, time_unit, cell, here)
         if times and value <= times[-1]:

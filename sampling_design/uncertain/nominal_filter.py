@@ -28,6 +28,7 @@ from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals, remade
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 from sampling_design.uncertain.accuracy.accuracy_over_box import mismatch, moved
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
@@ -51,8 +52,8 @@ class MismatchBounds(ErrorBounds):
         self,
         weights: CostWeights,
         w_bound: Array | None,
-        v_bound: npt.ArrayLike | None,
-        initial_error: npt.ArrayLike | None,
+        v_bound: VectorBound,
+        initial_error: VectorBound,
         energy: float,
         output_mismatch: Array,
     ):
@@ -237,9 +238,9 @@ class NominalFilter(KalmanFilter):
         cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
-        initial_error: npt.ArrayLike | None = None,
+        w_bound: VectorBound = None,
+        v_bound: VectorBound = None,
+        initial_error: VectorBound = None,
         typical: float = 1.0,
         input_side: str = "right",
         maximum_delay: float = 0.0,
@@ -249,7 +250,7 @@ class NominalFilter(KalmanFilter):
         nominal = plant.nominal
         stated = ErrorBoundArguments(w_bound=w_bound, v_bound=v_bound, initial_error=initial_error)
         given = build_weights(nominal, None, CostFunction() if cost is None else cost, stated)
-        bound = None if w_bound is None else checks.bound("w_bound", w_bound, nominal.n_disturbances)
+        bound = None if w_bound is None else vector_bound("w_bound", w_bound, nominal.disturbances.names)
         energy = given.disturbance_energy(bound)
         self.model = plant
         into, rows, known = _channels(plant, bound)

@@ -9,7 +9,6 @@ import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design import __version__
 from sampling_design.certificates.exact.certificate import SampledCertificate
@@ -26,6 +25,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.signatures import checked
 from sampling_design.records.sweeps import Journal, digest
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.monte_carlo import growth, read_trials
@@ -51,9 +51,9 @@ def validate(
     estimator: Estimator | None = None,
     runs: int = 200,
     duration: float | None = None,
-    w_bound: npt.ArrayLike | None = None,
-    v_bound: npt.ArrayLike | None = None,
-    initial_error: npt.ArrayLike | None = None,
+    w_bound: VectorBound = None,
+    v_bound: VectorBound = None,
+    initial_error: VectorBound = None,
     scenarios: Iterable[str] = SCENARIOS,
     rng: Seed = None,
     workers: Workers = None,

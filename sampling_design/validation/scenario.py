@@ -19,6 +19,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import Column, selected
 from sampling_design.records.record import Plain, TableRecord, counted, short
 from sampling_design.records.signatures import checked
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
 
@@ -50,18 +51,18 @@ class ScenarioBounds(ErrorSources):
     def of(
         cls,
         plant: Plant,
-        w_bound: npt.ArrayLike | None = None,
-        v_bound: npt.ArrayLike | None = None,
-        initial_error: npt.ArrayLike | None = None,
+        w_bound: VectorBound = None,
+        v_bound: VectorBound = None,
+        initial_error: VectorBound = None,
     ) -> ScenarioBounds:
         """Return checked bounds; where None is given, the plant's scales, entry by entry.
 
         Raises ArgumentError if a bound is negative or has another length.
         """
-        defaults = plant.disturbances.scales, plant.outputs.scales, plant.states.scales
+        signals = plant.disturbances, plant.outputs, plant.states
         given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
-        pairs = zip(given.items(), defaults, strict=True)
-        w, v, e0 = (own if value is None else checks.bound(key, value, own.size) for (key, value), own in pairs)
+        pairs = zip(given.items(), signals, strict=True)
+        w, v, e0 = (s.scales if bound is None else vector_bound(key, bound, s.names) for (key, bound), s in pairs)
         return cls(e0, w, v)
 
     def to_dict(self) -> dict[str, Plain]:
@@ -245,8 +246,8 @@ def simulate_record(
     *,
     x0: npt.ArrayLike | None = None,
     inputs: Sequence[tuple[float, npt.ArrayLike]] = (),
-    w_bound: npt.ArrayLike | None = None,
-    v_bound: npt.ArrayLike | None = None,
+    w_bound: VectorBound = None,
+    v_bound: VectorBound = None,
     noise: str = "independent",
     rng: Seed = None,
 ) -> SimulatedRecord:

@@ -184,26 +184,52 @@ def test_rows_of_a_plan_have_its_bounds_on_disturbance_and_noise(shell, small_pl
     assert json.loads(found.out)["radii"] == json.loads(typed.out)["radii"]
 
 
-@pytest.mark.parametrize("command", ["estimate", "validate"])
-def test_a_plan_of_another_plant_brings_no_bounds(shell, small_plan, command):
+@pytest.mark.parametrize("command", ["estimate", "validate", "certify", "accuracy"])
+def test_a_plan_of_another_plant_brings_the_bounds_of_signals_that_both_have(shell, small_plan, command):
     plan, file, measured = small_plan
     outputs = plan.plant.outputs.names
     slower = sd.Plant([[0, 1], [-0.9, 0]], np.eye(2), time_unit="s", states=outputs, outputs=outputs)
     other = sd.plants.write_plant(slower, file.with_name("slower.toml"))
-    words = (other, measured, "--schedule", file) if command == "estimate" else (other, file, "--runs", "1")
-    found = shell(command, *words)
+    more = {"estimate": (measured, "--schedule", file), "validate": (file, "--runs", "1"), "accuracy": (file,)}
+    words = (command, other, *more.get(command, (file,)))
+    typed = ("--w-bound", "0.02", "--v-bound", "speed=0.2,position=0.2", "--initial-error", "1.5")
+    typed = typed[:4] if command == "accuracy" else typed
+    found, same = shell(*words, "--json"), shell(*words, *typed, "--json")
+    assert found.code == same.code < 2
+    whose = "that of the plan, [0.2, 0.2], is used, which is for another plant: its A[1, 0] is -1.0, not -0.9."
+    assert f"--v-bound not given: {whose}" in " ".join(found.err.split())
+    both = [json.loads(each.out) for each in (found, same)]
+    assert [data.get(key) for key in ("Qv", "radii", "upper") for data in both[:1]] == [
+        data.get(key) for key in ("Qv", "radii", "upper") for data in both[1:]
+    ]
+
+
+@pytest.mark.parametrize("command", ["estimate", "validate", "certify", "accuracy"])
+def test_a_plan_brings_no_bounds_of_signals_that_a_plant_has_not(shell, small_plan, command):
+    plan, file, measured = small_plan
+    other = sd.Plant([[0, 1], [-1, 0]], np.eye(2), time_unit="s", outputs=["position", "pace"])
+    written = sd.plants.write_plant(other, file.with_name("pace.toml"))
+    words = (written, measured, "--schedule", file) if command == "estimate" else (written, file)
+    found = shell(command, *words, "--w", 0.02)
     assert found.code == 2
-    said = " ".join(found.err.split())
-    assert "`--w-bound` is missing, and the plan is for another plant: its A[1, 0] is -1.0, not -0.9." in said
+    assert "`--v-bound` is missing, and the plan is for another plant: " in " ".join(found.err.split())
     untyped = ErrorBoundArguments(w_bound=None, v_bound=None, initial_error=None)
     with pytest.raises(ArgumentError, match="is missing, and the plan is for another plant"):
-        known_bounds(Settings(command), slower, slower, untyped, plan)
-    if command == "estimate":  # its schedule stands, in the plant's unit of time
-        typed = ("--w-bound", "0.02", "--v-bound", "0.2,0.2", "--initial-error", "1.5")
-        assert shell(*(command, *words, *typed, "--json")).code in (0, 1)
-        minutes = sd.Plant(60 * slower.A, np.eye(2), G=60 * np.eye(2), time_unit="min", outputs=outputs)
-        found = shell(command, sd.plants.write_plant(minutes, file.with_name("minutes.toml")), *words[1:], *typed)
-        assert "times in s are converted to min" in " ".join(found.err.split())
+        known_bounds(Settings(command), other, other, untyped, plan)
+    minutes = sd.Plant(60 * other.A, np.eye(2), G=60 * np.eye(2), time_unit="min", outputs=plan.plant.outputs.names)
+    with pytest.raises(ArgumentError, match="`--w-bound` is missing, and the plan is for another plant"):
+        known_bounds(Settings(command), minutes, minutes, untyped, plan)
+
+
+def test_an_accuracy_without_bounds_says_which_are_missing_of_a_plan_too(shell, small_plan, tmp_path):
+    plan, file, _ = small_plan
+    found = shell("accuracy", file.with_name("plant.toml"), file.with_name("plan.json"), "--json")
+    assert found.code == 0
+    assert json.loads(found.out)["upper"] == json.loads(shell("accuracy", file, "--json").out)["upper"]
+    sd.schedules.write_schedule(plan.schedule, tmp_path / "schedule.csv")
+    alone = shell("accuracy", file.with_name("plant.toml"), tmp_path / "schedule.csv", "--w", "0.02")
+    assert alone.code == 2
+    assert "`--v-bound` is missing: without a bound on position, speed" in " ".join(alone.err.split())
 
 
 def test_what_contradicts_a_plan_says_which_bound_was_not_given(shell, small_plan):

@@ -13,6 +13,8 @@ from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.records.measurement_table import BLOCK
 from sampling_design.estimators.records.measurements import write_measurements
 from sampling_design.plotting import style
+from sampling_design.records.units import SECONDS
+from sampling_design.schedules.time_stamps import import_time_stamps
 
 PLANT = Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -45,10 +47,10 @@ def test_times_outputs_inputs_blanks_and_comments(tmp_path):
 
 def test_dates_are_turned_into_the_plants_unit_and_offsets_are_honoured(tmp_path):
     text = "date,gauge,flow,pump\n2026-01-05T00:30,1,,0\n2026-01-05T03:00+01:00,,2,0\n"
-    found = read_measurements(written(tmp_path, text), PLANT)
+    found = read_measurements(written(tmp_path, text), PLANT, zone="UTC")
     assert found.times.tolist() == [0.0, 1.5]
     assert found.origin == "2026-01-05T00:30:00+00:00"
-    from_midnight = read_measurements(written(tmp_path, text), PLANT, origin="2026-01-05")
+    from_midnight = read_measurements(written(tmp_path, text), PLANT, origin="2026-01-05", zone="UTC")
     assert from_midnight.times.tolist() == [0.5, 2.0]
 
 
@@ -353,7 +355,6 @@ def test_measurements_of_uncertain_times_made_by_hand():
 
 BERLIN, SUMMER = "Europe/Berlin", "date,gauge\n2026-10-25T08:00+01:00,1\n"
 PLACES = {
-    "an origin without a zone": ({"origin": "2026-10-25T07:00"}, 0.0, "UTC"),
     "an origin of a zone": ({"origin": "2026-10-25T07:00", "zone": BERLIN}, 1.0, BERLIN),
     "an origin with its zone": ({"origin": "2026-10-25T07:00+01:00"}, 1.0, ""),
     "no origin": ({}, 0.0, ""),
@@ -367,6 +368,31 @@ def test_where_a_date_without_a_zone_was_taken_to_be_is_told_of_the_origin_too(t
     assert (found.times.tolist(), found.assumed_zone) == ([hours], told)
     plain = read_measurements(written(tmp_path, "time,gauge\n8,1\n"), PLANT_IN_HOURS, **given)
     assert (plain.times.tolist(), plain.origin, plain.assumed_zone) == ([8.0], "", "")
+
+
+@pytest.mark.parametrize("given", [{}, {"origin": "2026-10-25T07:00"}])
+@pytest.mark.parametrize("table", [SUMMER, SUMMER + "2026-10-25T09:00,2\n"])
+def test_a_date_without_a_zone_beside_one_with_a_zone_is_asked_for_its_own(tmp_path, table, given):
+    """Read in UTC, an origin would be off by the offset of the rows, and nobody would know."""
+    path = written(tmp_path, table)
+    frame = pandas.read_csv(path)
+    readers = [
+        lambda **how: read_measurements(path, BLIND, **how),
+        lambda **how: read_measurements(frame, BLIND, **how),
+        lambda **how: import_time_stamps(path, "h", **how),
+    ]
+    for read in readers:
+        assert len(read(zone=BERLIN, **given)) == len(read(origin="2026-10-25T07:00+01:00")) == len(frame)
+        if given or table != SUMMER:
+            with pytest.raises(FileFormatError, match=r"has no zone, and .* has one: give its offset \(\+01:00\), or"):
+                read(**given)
+
+
+def test_another_origin_without_a_zone_is_by_the_clocks_of_the_own_one(tmp_path):
+    found = read_measurements(written(tmp_path, SUMMER), BLIND)
+    assert found.rebased("2026-10-25T07:00").times.tolist() == [3600.0 / SECONDS[BLIND.time_unit]]
+    with pytest.raises(ArgumentError, match="`origin` must be a date like"):
+        found.rebased("soon")
 
 
 @pytest.mark.parametrize("date", ["2026-10-25T02:30", "2026-03-29T02:30"])

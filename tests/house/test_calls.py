@@ -120,6 +120,14 @@ def test_arguments_that_many_verbs_take_stand_in_one_order_under_one_name():
     assert {(name, key): OTHERWISE[key] for name, key in named if key in OTHERWISE} == {}
 
 
+def test_a_bound_on_a_vector_is_taken_by_names_by_every_verb():
+    named = {"w_bound", "v_bound", "initial_error", "w_intensity", "v_deviation"}
+    hints = [(v, p.name, str(p.annotation)) for v, taken in public_signatures().items() for p in taken]
+    asked = [hint for hint in hints if hint[1] in named]
+    assert len(asked) > 30
+    assert [hint for hint in asked if "ArrayLike" in hint[2]] == []
+
+
 def test_a_start_is_a_time_and_a_state_at_it_is_x0():
     hints = {
         (name, str(p.annotation)) for name, taken in public_signatures().items() for p in taken if p.name == "start"

@@ -163,8 +163,3 @@ def test_lists_are_read_as_what_they_hold():
     for wrong in ([1], "ab", 2.0):
         with pytest.raises(ArgumentError, match="`pair` must hold pairs, got"):
             checks.entries("pair", wrong, (2, 3), "pairs")
-
-
-def test_a_bound_by_names_is_told_that_it_is_a_number_or_a_list():
-    with pytest.raises(ArgumentError, match="`v_bound` must be a number or a list of 2 numbers, got dict"):
-        checks.bound("v_bound", {"gauge": 0.1}, 2)

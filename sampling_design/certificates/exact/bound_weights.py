@@ -13,6 +13,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Progress
 from sampling_design.records.signatures import checked
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 
 LARGEST = 1e140
 """Bounds beyond it, or below its inverse, have squares that leave no room in a double for a rate beside them."""
@@ -20,7 +21,7 @@ LARGEST = 1e140
 
 @checked
 def weights_from_bounds(
-    plant: Plant, eta: float, w_bound: npt.ArrayLike, v_bound: npt.ArrayLike, initial_error: npt.ArrayLike
+    plant: Plant, eta: float, w_bound: VectorBound, v_bound: VectorBound, initial_error: VectorBound
 ) -> dict[str, Array]:
     """Return the weights with which prior, disturbance and each sample's noise cost at most one.
 
@@ -64,21 +65,21 @@ def weights_from_bounds(
     rate = checks.positive("eta", eta)
     if rate > LARGEST:
         raise ArgumentError(f"`eta` must be at most {LARGEST:g}, got {eta!r}.")
-    noise = 2.0 * _unit_ball("v_bound", v_bound, plant.n_outputs)
+    noise = 2.0 * _unit_ball("v_bound", v_bound, plant.outputs.names)
     return {
-        "P2": _unit_ball("initial_error", initial_error, plant.n_states),
-        "Qw": rate * _unit_ball("w_bound", w_bound, plant.n_disturbances),
+        "P2": _unit_ball("initial_error", initial_error, plant.states.names),
+        "Qw": rate * _unit_ball("w_bound", w_bound, plant.disturbances.names),
         "R": noise,
         "Qv": noise.copy(),
     }
 
 
 class ErrorBoundArguments(TypedDict, total=False):
-    """Bounds as verbs take them: a number bounds the norm, a vector each entry."""
+    """Bounds as verbs take them: a number bounds the norm, a vector or a mapping from names each entry."""
 
-    w_bound: npt.ArrayLike | None
-    v_bound: npt.ArrayLike | None
-    initial_error: npt.ArrayLike | None
+    w_bound: VectorBound
+    v_bound: VectorBound
+    initial_error: VectorBound
 
 
 class CertifyOptions(TypedDict, total=False):
@@ -110,18 +111,18 @@ def weights_within(plant: Plant, eta: float, bounds: ErrorBoundArguments) -> tup
     return weights["P2"], weights["Qw"], weights["R"], weights["Qv"]
 
 
-def _or_scales(name: str, bound: npt.ArrayLike | None, signals: Signals) -> npt.ArrayLike:
+def _or_scales(name: str, bound: VectorBound, signals: Signals) -> VectorBound:
     """A bound, or the scales where there is none or it is zero: nothing can be weighed by 1/0."""
     if bound is None:
         return signals.scales
-    return bound if checks.bound(name, bound, len(signals.scales)).all() else signals.scales
+    return bound if vector_bound(name, bound, signals.names).all() else signals.scales
 
 
-def _unit_ball(name: str, bound: npt.ArrayLike, size: int) -> Array:
+def _unit_ball(name: str, bound: VectorBound, names: tuple[str, ...]) -> Array:
     """Q with |z|^2_Q <= 1 wherever the bound holds."""
-    if checks.dimensions(bound) == 0:
-        return np.eye(size) / _weighable(name, np.array([checks.positive(name, bound)])) ** 2
-    entries = checks.vector(name, bound, size)
+    size, entries = len(names), vector_bound(name, bound, names)
+    if entries.ndim == 0:
+        return np.eye(size) / _weighable(name, np.array([checks.positive(name, entries)])) ** 2
     if np.any(entries <= 0):
         raise ArgumentError(f"`{name}` must be positive in every entry, got {entries.tolist()}.")
     return np.diag(1.0 / (size * _weighable(name, entries) ** 2))

@@ -26,6 +26,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Record, short
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 
 Form = Literal["certificate", "paper"]
 ArrivalKind = Literal["fixed", "filtered"]
@@ -347,10 +348,11 @@ def build_weights(
 
 def _weighed(plant: Plant, bounds: ErrorBoundArguments, rate: float) -> dict[str, Array]:
     """The weights of the bounds that are given; of one that is zero, or that no weight in doubles says, none."""
-    sizes = {"w_bound": plant.n_disturbances, "v_bound": plant.n_outputs, "initial_error": plant.n_states}
-    read = {name: checks.bound(name, value, sizes[name]) for name, value in bounds.items() if value is not None}
+    signals = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
+    given: dict[str, VectorBound] = dict(bounds)  # type: ignore[arg-type]
+    read = {name: vector_bound(name, bound, signals[name].names) for name, bound in given.items() if bound is not None}
     usable = {name for name, bound in read.items() if np.all((bound >= 1 / LARGEST) & (bound <= LARGEST))}
-    wanted = [read[name] if name in usable else 1.0 for name in sizes]
+    wanted = [read[name] if name in usable else 1.0 for name in signals]
     found = weights_from_bounds(plant, rate, *wanted)
     belong = {"P2": "initial_error", "Qw": "w_bound", "R": "v_bound", "Qv": "v_bound"}
     return {key: found[key] for key, name in belong.items() if name in usable}

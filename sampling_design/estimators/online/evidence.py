@@ -51,7 +51,7 @@ class EstimateAssumptions:
 
     def unread(self, begin: float, inputs: InputHistory, start: BoundedSet | None = None) -> Readings:
         """Return what is known before anything is read, of a state in a set (default: unknown) at a time."""
-        known = BoundedSet.of("initial_error", None, self.plant.n_states) if start is None else start
+        known = BoundedSet.of("initial_error", None, self.plant.states.names) if start is None else start
         return Readings.unread(self.plant, self.disturbance, known, begin, self.noise.ball, inputs)
 
     def program(self, readings: Readings) -> RecordProgram:

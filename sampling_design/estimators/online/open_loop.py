@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.errors import ArgumentError
@@ -17,8 +16,8 @@ from sampling_design.estimators.online.history import EstimatorState, HistoryNod
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING, scaled_bound
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
-from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 
 
 class ErrorBounds:
@@ -37,20 +36,20 @@ class ErrorBounds:
     def __init__(
         self,
         weights: CostWeights,
-        w_bound: npt.ArrayLike | None,
-        v_bound: npt.ArrayLike | None,
-        initial_error: npt.ArrayLike | None,
+        w_bound: VectorBound,
+        v_bound: VectorBound,
+        initial_error: VectorBound,
     ):
         self.weights, self.plant = weights, weights.plant
         plant = self.plant
-        self.v = None if v_bound is None else checks.bound("v_bound", v_bound, plant.n_outputs)
-        self.w = None if w_bound is None else checks.bound("w_bound", w_bound, plant.n_disturbances)
+        self.v = None if v_bound is None else vector_bound("v_bound", v_bound, plant.outputs.names)
+        self.w = None if w_bound is None else vector_bound("w_bound", w_bound, plant.disturbances.names)
         self.disturbance = weights.disturbance_energy(self.w)
         noise = float(self.of_samples(np.ones((1, plant.n_outputs)))[0])
         self.prior = weights.prior_energy(
-            None if initial_error is None else checks.bound("initial_error", initial_error, plant.n_states)
+            None if initial_error is None else vector_bound("initial_error", initial_error, plant.states.names)
         )
-        self.start_error = BoundedSet.of("initial_error", initial_error, plant.n_states)
+        self.start_error = BoundedSet.of("initial_error", initial_error, plant.states.names)
         energies = {"w_bound": self.disturbance, "v_bound": noise, "initial_error": self.prior}
         missing = [name for name, energy in energies.items() if np.isinf(energy)]
         self.note = f"No radius: {', '.join(missing)} not given." if missing else ""
@@ -69,8 +68,8 @@ class ErrorBounds:
         if self.w is None or self.v is None:
             return None
         plant = self.plant
-        disturbance = BoundedSet.of("w_bound", self.w, plant.n_disturbances)
-        noise = BoundedSet.of("v_bound", self.v, plant.n_outputs)
+        disturbance = BoundedSet.of("w_bound", self.w, plant.disturbances.names)
+        noise = BoundedSet.of("v_bound", self.v, plant.outputs.names)
         return EstimateAssumptions(plant, disturbance, noise, self.start_error)
 
 

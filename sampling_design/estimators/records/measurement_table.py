@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index
-from sampling_design.records.dates import date_after, time_zone, unambiguous, zoned_date, zoned_text
+from sampling_design.records.dates import UnmixedDates, date_after, time_zone, unambiguous, zoned_date, zoned_text
 from sampling_design.records.declarations import moment
 from sampling_design.records.file_io import row_name
 from sampling_design.records.units import SECONDS
@@ -89,9 +89,11 @@ class _DateConverter:
         self.stamp, self.named = stamp, zone is not None
         self.where, self.unit, self.naive = where, SECONDS[plant.time_unit], False
         self.zone: tzinfo = UTC if zone is None else time_zone(zone)
+        self._unmixed = UnmixedDates(said=self.named)
         self.zero = None if origin is None else self.placed(0, origin, date_of(where, 0, origin, None))
         if zone is None and self.zero is not None:
             self.zone = self.zero.tzinfo or UTC
+            self._unmixed.said = not self.naive
 
     def time(self, line: int, cell: str) -> float:
         return _number(self.where, line, "time", cell)
@@ -121,6 +123,10 @@ class _DateConverter:
 
     def placed(self, line: int, cell: str, date: datetime) -> datetime:
         """The date with its zone. Raises FileFormatError where clocks do not say which instant it is."""
+        try:
+            self._unmixed.take(date, f"the date {_place(self.where, line)}")
+        except ArgumentError as error:
+            raise FileFormatError(f"{self.where}: {error}", self.where) from None
         if date.tzinfo is not None:
             return date
         self.naive = True

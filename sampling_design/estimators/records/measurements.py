@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from datetime import date
+from datetime import UTC, date
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.dates import parse_date, passed, zoned_text
+from sampling_design.records.dates import date_in, parse_date, passed, zoned_text
 from sampling_design.records.declarations import Column
 from sampling_design.records.record import ListRecord, counted, moment
 from sampling_design.records.signatures import checked
@@ -178,18 +178,17 @@ class Measurements(ListRecord[MeasuredRow]):
         return replace(self, times=self.times + by, censored=censored, origin=zero)
 
     def rebased(self, origin: str) -> Measurements:
-        """Return the same rows with another date as time 0.
+        """Return the same rows with another date as time 0; one without a zone is by the clocks of their own origin.
 
         Raises
         ------
         ArgumentError
-            If they have no dates.
-        FileFormatError
-            If `origin` is no date.
+            If they have no dates, or `origin` is no date.
         """
         if not self.origin:
             raise ArgumentError("`origin` can be another one only of measurements with dates: these have none.")
-        here, there = date_of("`origin`", 0, self.origin), date_of("`origin`", 0, origin)
+        here = date_of("`origin`", 0, self.origin)
+        there = date_in("origin", origin, here.tzinfo or UTC)
         moved = self.shifted(passed(there, here).total_seconds() / SECONDS[self.plant.time_unit])
         return replace(moved, origin=zoned_text(there))
 
@@ -346,8 +345,8 @@ def read_measurements(
     origin : str or datetime, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
     zone : str, optional
-        IANA name of the zone of dates without one, that of `origin` too. Default: the offset of `origin`, else UTC.
-        `assumed_zone` tells.
+        IANA name of the zone of dates without one, that of `origin` too. Default: the offset of `origin`, else UTC,
+        if no date has a zone. `assumed_zone` tells.
 
     Returns
     -------
@@ -358,8 +357,8 @@ def read_measurements(
     FileFormatError
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
         an input has no value in the first row, a time comes twice with different values, a date without a zone is
-        skipped or repeated by its clocks, numbers have decimal commas and decimal points, or a frame's
-        index counts its rows and nothing else says their times.
+        skipped or repeated by its clocks or stands beside one that has a zone while nothing says its own, numbers have
+        decimal commas and decimal points, or a frame's index counts its rows and nothing else says their times.
     ArgumentError
         If there is no zone of that name.
     """

@@ -11,7 +11,6 @@ import numpy as np
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
-from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import align
@@ -22,6 +21,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import above, below
+from sampling_design.records.vector_bounds import vector_bound
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -129,8 +129,8 @@ def accuracy_over_box(
     aligned, rtol = align(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
     require_constant_box(plant, "accuracy")
     schedule = period_of(aligned, "`schedule` must be periodic for accuracy over a box of parameters.")
-    w = _entries("w_bound", w_bound, plant.nominal.n_disturbances)
-    v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
+    w = _entries("w_bound", w_bound, plant.nominal.disturbances.names)
+    v = _entries("v_bound", v_bound, plant.nominal.outputs.names)
     rows = requested_rows(plant.nominal, of)
     given = Budget(SECONDS if budget is None else checks.positive("budget", budget))
     middle, whole = plant.low / 2 + plant.high / 2, plant.high / 2 - plant.low / 2
@@ -244,19 +244,15 @@ def _weights(plant: UncertainPlant) -> Array:
     return found
 
 
-def _entries(name: str, value: Bound, count: int) -> Array:
+def _entries(name: str, value: Bound, names: tuple[str, ...]) -> Array:
     """A bound for each entry; one number only where there is one entry."""
-    if value is not None and not callable(value) and not is_table(value):
-        size = checks.dimensions(value)
-        if size == 0 and count == 1:
-            return np.array([checks.nonnegative(name, value)])
-        if size == 1:
-            found = np.array(checks.vector(name, value, count))
-            if np.all(found >= 0):
-                return found
+    if value is not None and not callable(value):
+        found = vector_bound(name, value, names)
+        if found.ndim or len(names) == 1:
+            return np.broadcast_to(found, (len(names),))
     raise ArgumentError(
-        f"`{name}` must be {count} numbers that are not negative, one bound for each entry, for accuracy over a box of "
-        f"parameters, got {checks.described(value)}."
+        f"`{name}` must be {len(names)} numbers that are not negative, one bound for each entry, for accuracy over a "
+        f"box of parameters, got {checks.described(value)}."
     )
 
 

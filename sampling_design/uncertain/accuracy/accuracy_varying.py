@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.accuracy.accuracy import RTOL
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
-from sampling_design.accuracy.bounds import Bound, InitialError, InitialSet, SignalBounds
+from sampling_design.accuracy.bounds import Bound, InitialSet, SignalBounds
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows, row_arguments
@@ -20,6 +20,7 @@ from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import above, below, short
+from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -133,7 +134,7 @@ def accuracy_along(
     *,
     w_bound: Bound = None,
     v_bound: Bound = None,
-    initial_error: InitialError = None,
+    initial_error: VectorBound = None,
     of: Wanted = None,
     start: float | None = None,
     end: float | None = None,
@@ -198,7 +199,7 @@ class _VaryingProblem:
 
     def __init__(
         self, plant: TimeVaryingPlant, schedule: object, w_bound: Bound, v_bound: Bound, of: Wanted,
-        initial_error: InitialError, ends: tuple[float | None, float | None],
+        initial_error: VectorBound, ends: tuple[float | None, float | None],
     ) -> None:  # fmt: skip
         if not isinstance(schedule, Schedule) or not len(schedule):
             raise ArgumentError(

@@ -1,0 +1,77 @@
+"""Bounds on vectors as a user types them: a number on the norm, one for each entry, or by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias, TypeGuard
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.checkers.strict import is_number, is_table
+from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.arrays import Array
+
+Entry: TypeAlias = float | tuple[float, float]
+VectorBound: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | None
+"""A number, entries, or a mapping from names to numbers or pairs (lower, upper); None: no bound."""
+
+
+def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> Array:
+    """Return a bound about 0: a number (0-d array), on the Euclidean norm, or one for each entry, given by name or not.
+
+    Raises ArgumentError if it is negative, not finite, of another length, names what is not there, leaves a name out,
+    or is a pair that is not about 0.
+    """
+    if is_table(value):
+        half, centre = named_bounds(argument, value, names)
+        if centre.any():
+            name = names[int(np.argmax(centre != 0))]
+            raise ArgumentError(f"`{argument}[{name!r}]` must be a number or a pair about 0 here, got {value[name]!r}.")
+        if np.isinf(half).any():
+            lost = [name for name, size in zip(names, half, strict=True) if np.isinf(size)]
+            raise ArgumentError(f"`{argument}` is missing for {', '.join(lost)}: give a number, 0 for none.")
+        return checks.freeze(half)
+    if checks.dimensions(value) == 0:
+        return np.asarray(checks.nonnegative(argument, value))
+    entries = checks.vector(argument, value, len(names))
+    if np.any(entries < 0):
+        raise ArgumentError(f"`{argument}` must not be negative, got {float(entries.min())!r}.")
+    return entries
+
+
+def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Return half-widths (infinite of a name that is left out) and centres of a mapping from names to numbers or pairs.
+
+    Raises ArgumentError if a name is unknown, a number negative or a pair in the wrong order.
+    """
+    checks.known_keys(f"`{argument}`", [str(key) for key in value], names)
+    half, centre = np.full(len(names), np.inf), np.zeros(len(names))
+    for name, entry in value.items():
+        at = names.index(name)
+        half[at], centre[at] = half_and_centre(f"{argument}[{name!r}]", entry)
+    return half, centre
+
+
+def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
+    """Return half-width and centre of a number (about 0) or a pair (lower, upper); what is one-sided is unbounded.
+
+    Raises ArgumentError if the number is negative, or the pair in the wrong order.
+    """
+    if isinstance(entry, tuple):
+        if len(entry) != 2:
+            raise ArgumentError(f"`{argument}` must be a number or a pair (lower, upper), got {entry!r:.60}.")
+        low, high = (float(x) if _is_infinite(x) else checks.number(argument, x) for x in entry)
+        if low > high:
+            raise ArgumentError(f"`{argument}` must be a pair (lower, upper), got {entry!r:.60}: lower exceeds upper.")
+        if np.isinf(low) or np.isinf(high):
+            return np.inf, 0.0
+        return (high - low) / 2, (high + low) / 2
+    if _is_infinite(entry) and entry == np.inf:
+        return np.inf, 0.0
+    return checks.nonnegative(argument, entry), 0.0
+
+
+def _is_infinite(value: object) -> TypeGuard[float]:
+    return is_number(value) and bool(np.isinf(value))

@@ -7,7 +7,7 @@ interval began, which is set to zero there.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -457,14 +457,18 @@ def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
     return [_arrived(item, p) for item in rows_of(items)]
 
 
-def rows_of(record: Iterable[Row]) -> list[Row]:
-    """Return the rows of a record as they came; a frame is refused, since it does not say the date of time 0."""
+def rows_of(record: Iterable[Row], origin: str = "") -> list[Row]:
+    """Return the rows of a record as they came, those with dates as they count from `origin`, if it is known.
+
+    Raises ArgumentError of a frame, since it does not say the date of time 0, and as `Measurements.on_clock`.
+    """
     if hasattr(record, "columns"):
         raise ArgumentError(
             "`record` must hold rows (t, y, u), got a frame: give it as `read_measurements(frame, plant)`, which also "
             "takes the date of time 0."
         )
-    return list(record)
+    moved: Callable[[str], Iterable[Row]] | None = getattr(record, "on_clock", None)
+    return list(record if moved is None else moved(origin))
 
 
 def _arrived(item: object, p: int) -> RecordRow:

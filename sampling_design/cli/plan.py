@@ -11,14 +11,14 @@ from rich.table import Table
 
 import sampling_design as sd
 from sampling_design.accuracy.readings import PartialReading, as_typed
+from sampling_design.checkers.strict import is_text
 from sampling_design.cli import files
-from sampling_design.cli.options import TimingOption, timing
+from sampling_design.cli.options import TimingOption, number_or_text, timing
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.plan_record import Plan
-from sampling_design.records.checks import number
-from sampling_design.records.dates import parse_date, zoned_date
+from sampling_design.records.dates import zoned_date
 from sampling_design.schedules.opening import WEEK
 
 
@@ -151,16 +151,11 @@ def _now(settings: Settings, result: Plan, text: str | None, flag: str = "--now"
     """A date, or a number in the plant's time unit."""
     if text is None:
         return None
-    calendar = result.requirement.calendar
-    try:
-        return number(flag, float(text))
-    except ValueError:
-        if calendar is None:
-            raise ArgumentError(f"`{flag}` must be a number of {result.plant.time_unit}, got {text!r}.") from None
-    date = parse_date(flag, text, calendar.zone)
-    if zoned_date(text).tzinfo is None:
+    calendar, when = result.requirement.calendar, number_or_text(text)
+    t = result.elapsed(flag, when)
+    if calendar is not None and is_text(when) and zoned_date(when).tzinfo is None:
         settings.notice(f"Dates without a zone are read in {calendar.zone}.")
-    return calendar.elapsed_at(date) / result.minutes(1.0)
+    return t
 
 
 def _times(result: Plan) -> Table:

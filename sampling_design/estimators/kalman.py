@@ -222,7 +222,7 @@ class KalmanFilter(WindowedEstimator):
         fresh = copy(self)
         fresh.memory = np.inf
         fresh.state = fresh.initial_state(self._begun.x, self._begun.t)
-        samples, origin = listed(record, self.plant)
+        samples, origin = listed(record, self.plant, self.clock_origin)
         for item in samples:
             fresh.update(*triple(item))
         nodes = fresh.state.nodes

@@ -93,6 +93,7 @@ class WindowedEstimator(OnlineEstimator):
         Raises ArgumentError if the plant has no states, or `input_side` is neither "right" nor "left".
         """
         self.recorder, self.loop, self.claim, self.bounds = recorder, recorder.loop, recorder.claim, recorder.bounds
+        self.clock_origin = self.claim.origin
         self.weights, self.table, self.plant = self.loop.weights, self.loop.table, self.loop.weights.plant
         if self.plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import compress
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation, standard_deviation
-from sampling_design.errors import NotDetectableError
+from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.dates import PlanDates, plan_dates
@@ -24,7 +25,9 @@ from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.sampling_sheet import write_form, write_sheet
 from sampling_design.plants.files import write_plant
 from sampling_design.plants.functional import FunctionalPlant, is_about
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Column, above, below, plain, selected
 from sampling_design.records.file_io import to_json, write_text
 from sampling_design.records.record import Plain, counted, short
@@ -170,6 +173,22 @@ class Plan(PlanFigures):
         dated = self.keeps and self.requirement.calendar is not None
         write_plan(self, path, self.dates(periods) if dated else None, person=person)
         return Path(path)
+
+    def elapsed(self, name: str, when: float | str | datetime) -> float:
+        """Return the time since the plan's start of a date, or of a time that is a number already.
+
+        Raises
+        ------
+        ArgumentError
+            If it is neither, or a date while the plan has no calendar.
+        """
+        calendar = self.requirement.calendar
+        match when:
+            case str() | datetime():
+                if calendar is None:
+                    raise ArgumentError(f"`{name}` must be a number of {self.plant.time_unit}, got {when!r}.")
+                return calendar.elapsed_at(parse_date(name, when, calendar.zone)) / self.minutes(1.0)
+        return checks.number(name, when)
 
     def _columns(self) -> dict[str, Column]:
         """The samples of a period: their dates where there is a calendar, and which sensors are read."""

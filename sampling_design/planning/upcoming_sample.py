@@ -254,7 +254,7 @@ def next_sample(
     plan: Plan,
     record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None = None,
     *,
-    now: float | None = None,
+    now: float | str | datetime | None = None,
     awaited: Iterable[tuple[float, str]] = (),
     prove: bool = True,
     budget: float | None = None,
@@ -273,8 +273,9 @@ def next_sample(
         Before its first sample, the plan was followed since its start, where nothing is known but the requirement's
         `initial_error`. Default: it was followed until `now`.
     now : float, optional
-        Default: the last sample of the record, else 0. All times have passed since the plan's start [the plant's time
-        unit], so that a day on which clocks are put forward has 23 h.
+        A date, or a time, which has passed since the plan's start [the plant's time unit], so that a day on which
+        clocks are put forward has 23 h. Default: the last sample of the record, else 0. A date without a zone is by the
+        clocks of the plan.
     awaited : iterable of (t, output)
         Samples since the first one of the record that were taken and whose results are not in; each counts from its
         `result_delay` on. One that should be in by now counts as lost. Without a record the plan's own are out.
@@ -316,7 +317,7 @@ def next_sample(
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
     taken = _taken(plan, record)
     last = taken.times[-1] if taken is not None and taken.times.size else 0.0
-    at = float(last) if now is None else checks.number("now", now)
+    at = float(last) if now is None else plan.elapsed("now", now)
     if taken is not None and taken.times.size and at < last - 1e-9 * plan.problem.step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = _with_awaited(plan, taken, [*awaited], at)
@@ -376,7 +377,7 @@ def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | No
         return None
     times: list[float] = []
     measured: list[Mask] = []
-    for item in rows_of(record):
+    for item in rows_of(record, plan.schedule.origin or ""):
         _, reading, *_ = checks.entries("record", item, (2, 3), "rows (t, y, u)")
         plain, limits = with_censored(reading, plan.plant.n_outputs)
         y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))

@@ -17,6 +17,7 @@ from sampling_design.cli.plan import _now, plan
 from sampling_design.cli.plan import next_sample as next_command
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.search import PlanSearch
 from tests.cases import few
 
@@ -112,6 +113,7 @@ def test_an_interrupt_writes_the_files_of_what_the_search_holds(shell, tmp_path,
 
 def test_a_plan_without_dates_takes_no_date():
     undated = SimpleNamespace(requirement=SimpleNamespace(calendar=None), plant=SimpleNamespace(time_unit="s"))
+    undated.elapsed = lambda *asked: Plan.elapsed(undated, *asked)
     with pytest.raises(ArgumentError, match="`--now` must be a number of s, got 'tomorrow'"):
         _now(Settings("next"), undated, "tomorrow")
 
@@ -119,6 +121,7 @@ def test_a_plan_without_dates_takes_no_date():
 def test_a_date_is_read_in_all_its_forms(capsys):
     place = sd.schedules.OpeningCalendar("2026-03-23", "Europe/Berlin")
     dated = SimpleNamespace(requirement=SimpleNamespace(calendar=place), minutes=lambda t: 60 * t)
+    dated.elapsed = lambda *asked: Plan.elapsed(dated, *asked)
     for text in ("2026-03-30T08:00", "2026-03-30T08:00+02:00", "2026-03-30T07:00[Europe/London]", "175"):
         assert _now(Settings("next"), dated, text) == 7 * 24 + 7
     assert capsys.readouterr().err.count("Dates without a zone") == 1
@@ -184,14 +187,13 @@ def test_rows_of_a_plan_have_its_bounds_on_disturbance_and_noise(shell, small_pl
     assert json.loads(found.out)["radii"] == json.loads(typed.out)["radii"]
 
 
-@pytest.mark.parametrize("command", ["estimate", "validate", "certify", "accuracy"])
+@pytest.mark.parametrize("command", ["estimate", "certify", "accuracy"])
 def test_a_plan_of_another_plant_brings_the_bounds_of_signals_that_both_have(shell, small_plan, command):
     plan, file, measured = small_plan
     outputs = plan.plant.outputs.names
     slower = sd.Plant([[0, 1], [-0.9, 0]], np.eye(2), time_unit="s", states=outputs, outputs=outputs)
     other = sd.plants.write_plant(slower, file.with_name("slower.toml"))
-    more = {"estimate": (measured, "--schedule", file), "validate": (file, "--runs", "1"), "accuracy": (file,)}
-    words = (command, other, *more.get(command, (file,)))
+    words = (command, other, *((measured, "--schedule", file) if command == "estimate" else (file,)))
     typed = ("--w-bound", "0.02", "--v-bound", "speed=0.2,position=0.2", "--initial-error", "1.5")
     typed = typed[:4] if command == "accuracy" else typed
     found, same = shell(*words, "--json"), shell(*words, *typed, "--json")

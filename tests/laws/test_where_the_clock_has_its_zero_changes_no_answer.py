@@ -1,10 +1,12 @@
 """A record and its shift, means and limits and inputs with it, get the same answer of every verb."""
 
 from dataclasses import replace
+from datetime import datetime
 from functools import cache
 from itertools import product
 
 import numpy as np
+import pandas
 import pytest
 
 import sampling_design as sd
@@ -173,6 +175,63 @@ def test_dates_stay_where_they_are():
     same(back, rows)
     assert back.origin == "2026-03-01T01:00:00+01:00"
     same(rows.between(0.0, 2.0).merged(moved.between(3602.5, 3700.0)), rows)
+
+
+TANK = sd.Plant([[-0.02]], [[1.0]], time_unit="h", states=["level"], outputs=["gauge"])
+VISITS = {"gauge": [12.0, 7.2, 6.0], "date": ["2026-03-02T08:00", "2026-03-04T16:00", "2026-03-06T16:00"]}
+
+
+@cache
+def weekly():
+    hours = {"start": "2026-03-02", "zone": "Europe/Berlin", "hours": {"Mon-Fri": [["08:00", "18:00"]]}}
+    wanted = sd.PlanRequirement(
+        {"level": 1.25}, grid="8 h", w_bound=0.03, sensors={"gauge": {"noise_bound": 0.5}}, calendar=hours
+    )
+    return sd.plan_samples(TANK, wanted, search_seconds=0.1, robustness=False, from_start=False)
+
+
+@pytest.mark.parametrize("origin", [None, "2026-03-02", "2026-03-02T08:00", "2026-02-20T01:00"])
+def test_a_dated_record_is_on_the_clock_of_a_dated_schedule_wherever_it_counts_from(origin):
+    plan = weekly()
+    schedule = sd.Schedule([8.0, 64.0, 112.0], time_unit="h", origin="2026-03-02T00:00+01:00[Europe/Berlin]")
+    certificate = sd.certify(TANK, schedule)
+    record = sd.read_measurements(pandas.DataFrame(VISITS), TANK, origin=origin, zone="Europe/Berlin")
+    bounds = {"w_bound": 0.03, "v_bound": 0.5, "initial_error": 20.0}
+    for shift in (0.0, 5.0):
+        made = sd.MovingHorizonEstimator(TANK, certificate, **bounds, prior_time=shift, schedule_zero=shift)
+        found = made.run(record, centred=False)
+        assert found.on_schedule.all()
+        assert found.times.tolist() == (schedule.times + shift).tolist()
+        made.start(prior_time=shift)
+        assert made.run(pandas.DataFrame(VISITS), centred=False).times.tolist() == found.times.tolist()
+    asked = sd.next_sample(plan, record, prove=False)
+    assert (asked.now, asked.latest) == (112.0, sd.next_sample(plan, [(t, [1.0]) for t in schedule.times]).latest)
+    naive = sd.read_measurements(pandas.DataFrame(VISITS), TANK, origin=origin)
+    for read in (lambda: sd.next_sample(plan, naive), lambda: made.run(naive)):
+        with pytest.raises(ArgumentError, match="`record` has dates without a zone, which were read in UTC, and"):
+            read()
+
+
+def test_records_with_dates_follow_each_other_on_one_clock():
+    frame = pandas.DataFrame(VISITS)
+    together = sd.KalmanFilter(TANK, w_bound=0.03, v_bound=0.5, initial_error=20.0)
+    one_by_one = sd.KalmanFilter(TANK, w_bound=0.03, v_bound=0.5, initial_error=20.0)
+    found = [one_by_one.run(frame[k : k + 1]) for k in range(3)]
+    assert [each.times[0] for each in found] == together.run(frame).times.tolist()
+    assert found[2].to_frame().index[0].isoformat() == "2026-03-06T16:00:00+00:00"
+    one_by_one.start()
+    assert one_by_one.run(frame[1:]).times[0] == 0.0
+    with pytest.raises(ArgumentError, match=r"\(latest sample at 48.0\)\. `start\(\)` forgets all samples"):
+        one_by_one.run(frame[:1])
+
+
+def test_now_is_a_date_by_the_clocks_of_the_plan_or_a_time():
+    plan = weekly()
+    when = [36.0, "2026-03-03T12:00", "2026-03-03T11:00+00:00", datetime(2026, 3, 3, 12)]
+    assert [plan.elapsed("now", each) for each in when] == [36.0] * 4
+    assert sd.next_sample(plan, now=when[1], prove=False).now == 36.0
+    with pytest.raises(ArgumentError, match="`now` must be a date like 2026-01-05T08:00"):
+        sd.next_sample(plan, now="tomorrow")
 
 
 def test_records_that_do_not_belong_together_are_not_joined():

@@ -18,9 +18,8 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
-from sampling_design.estimators.records.frames import is_frame
 from sampling_design.estimators.records.measurement_table import LIMITS, MeasuredPlant
-from sampling_design.estimators.records.measurements import Measurements, read_measurements
+from sampling_design.estimators.records.measurements import Measurements, on_clock
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -63,6 +62,10 @@ class OnlineEstimator(Displayable, ABC):
         "horizon": "{horizon} {plant.time_unit}",
         "latest": "{state.last.t} {plant.time_unit}",
     }
+
+    clock_origin = ""
+    """Date of the estimator's time 0, where the schedule of its certificate has one."""
+    _dated = ""
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
@@ -215,7 +218,7 @@ class OnlineEstimator(Displayable, ABC):
         if t < oldest:
             raise ArgumentError(
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
-                f"samples (latest sample at {state.last.t!r})."
+                f"samples (latest sample at {state.last.t!r}). `start()` forgets all samples."
             )
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
@@ -375,9 +378,10 @@ class OnlineEstimator(Displayable, ABC):
         Parameters
         ----------
         record : Measurements, DataFrame or iterable of (t, y, u)
-            A frame of pandas or polars is read by `read_measurements`, which also takes an origin: dates count from
-            the first. It is gone through in order of time, so that every sample
-            has its estimate; `update` and `stream` take samples as they come, and return the estimator's own.
+            A frame of pandas or polars is read by `read_measurements`. Dates count from the origin of the certificate's
+            schedule, else as in the record before, else from the first. It is gone through in order of time, so that
+            every sample has its estimate; `update` and `stream` take samples as they come, and return the estimator's
+            own.
         centred : bool, optional
             Whether each estimate is moved into the middle of its interval (`Estimate.centred`), where no other has a
             smaller radius: some milliseconds each, which its `radii` take anyway. Default: of a moving horizon
@@ -395,7 +399,8 @@ class OnlineEstimator(Displayable, ABC):
         ArgumentError
             If the record cannot be gone through, or estimates are to be centred and no bound on w or v was given.
         """
-        samples, origin = listed(record, self.plant)
+        known = self._dated if len(self.state.nodes) > 1 else ""
+        samples, self._dated = listed(record, self.plant, self.clock_origin or known)
         every = max(1, len(samples) // 100)
         moves = self.centres and few_intervals(len(samples), self.plant.n_states)
         moves = moves if centred is None else centred
@@ -407,7 +412,7 @@ class OnlineEstimator(Displayable, ABC):
             found.append(estimate.centred() if moves else estimate)
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
-        return EstimateRecord.collect(self.plant, found, origin)
+        return EstimateRecord.collect(self.plant, found, self._dated)
 
 
 def _has_limit(value: object) -> bool:
@@ -444,14 +449,15 @@ def _stamps(samples: list[object]) -> list[float]:
     return [t for t in map(_stamp, samples) if math.isfinite(t)]
 
 
-def listed(record: object, plant: MeasuredPlant) -> tuple[list[object], str]:
+def listed(record: object, plant: MeasuredPlant, origin: str = "") -> tuple[list[object], str]:
     """The samples of a record in order of time, and the date of its time 0; a frame is read like a file of `plant`.
+
+    Dates count from `origin`, where one is known.
 
     Raises ArgumentError if it cannot be gone through; FileFormatError if it is a frame that holds no measurements of
     this plant.
     """
-    if is_frame(record):
-        record = read_measurements(record, plant)
+    record = on_clock(record, plant, origin)
     origin = record.origin if isinstance(record, Measurements) else ""
     if isinstance(record, Iterable) and not isinstance(record, (str, bytes)) and getattr(record, "ndim", True):
         found = list(record)

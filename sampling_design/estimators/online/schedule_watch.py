@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.records.measurement_table import moved_origin
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule, Leeway, SamplingFamily
@@ -214,13 +215,17 @@ class ScheduleClaim:
         self.note = note
         late = TimingTolerance.of(timing_tolerance, unit=time_unit)
         late.require_together("a claim for a schedule")
-        tolerance, zero = late.radius, checks.number("schedule_zero", schedule_zero) + late.shift
+        begun = checks.number("schedule_zero", schedule_zero)
+        tolerance, zero = late.radius, begun + late.shift
         apart = schedule.by_output if isinstance(schedule, SamplingFamily) else ()
         each: dict[int | None, AnySchedule | SamplingFamily | None] = dict(enumerate(apart)) or {None: schedule}
         # of each output by itself where they are read at times of their own; of None: of whole samples
         self.watches = {
             i: ScheduleWatch(part, time_unit, tolerance, zero) for i, part in each.items() if part is not None
         }
+        dated = (w.nominal.origin for w in self.watches.values() if w.nominal is not None)
+        zero_date = next(filter(None, dated), "")
+        self.origin = moved_origin(zero_date, -begun, time_unit) if zero_date and begun else zero_date
 
     @property
     def stands(self) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series, lines_of
+from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series, is_frame, lines_of
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
     STAMPS,
@@ -192,6 +192,24 @@ class Measurements(ListRecord[MeasuredRow]):
         moved = self.shifted(passed(there, here).total_seconds() / SECONDS[self.plant.time_unit])
         return replace(moved, origin=zoned_text(there))
 
+    def on_clock(self, origin: str) -> Measurements:
+        """Return the same rows as a schedule counts time whose time 0 is the date `origin`, where both have dates.
+
+        Raises
+        ------
+        ArgumentError
+            If their dates have no zone and were read in UTC, while those of the schedule are in another one.
+        """
+        if not origin or not self.origin:
+            return self
+        there = parse_date("origin", origin)
+        if self.assumed_zone == str(UTC) and zoned_text(there) != there.astimezone(UTC).isoformat():
+            raise ArgumentError(
+                f"`record` has dates without a zone, which were read in UTC, and the schedule begins at {origin}: say "
+                "their `zone` in `read_measurements`, or give them their offset."
+            )
+        return self.rebased(origin)
+
     def between(self, start: float, end: float) -> Measurements:
         """Return the rows from `start` to `end`, both included; the first one says which inputs hold.
 
@@ -316,6 +334,16 @@ class Measurements(ListRecord[MeasuredRow]):
         """Say what was measured."""
         rows, measured = counted(len(self), "row"), self._rows()[2][1]
         return f"{rows} of measurements of {self.plant.name or 'a plant'}; {measured}."
+
+
+def on_clock(record: object, plant: MeasuredPlant, origin: str = "") -> object:
+    """A record as it counts time from the date `origin` ("": none is known), if it is a frame or has dates.
+
+    Dates of a frame that have no zone are by the clocks of that origin.
+    """
+    if is_frame(record):
+        return read_measurements(record, plant, origin=origin or None)
+    return record.on_clock(origin) if isinstance(record, Measurements) else record
 
 
 @checked

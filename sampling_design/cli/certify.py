@@ -16,7 +16,15 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import files
 from sampling_design.cli.estimate import known_bounds
-from sampling_design.cli.options import UNBOUNDED, BoundOptions, CertificateArgument, PlantFile, Rigorous, timing
+from sampling_design.cli.options import (
+    UNBOUNDED,
+    BoundOptions,
+    CertificateArgument,
+    PlantFile,
+    Rigorous,
+    shell_word,
+    timing,
+)
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
@@ -138,9 +146,10 @@ def certify(
         notes.append(_about_the_plan(planned))
     if (folder := settings.folder()) is not None:
         _write(settings, folder, certificate, compared)
-        made = folder / "certificate.json"
-        notes.append(f"Next: sampling-design verify {made}")
-        notes.append(f"Next: sampling-design estimate {plant_file} MEASUREMENTS.csv --certificate {made} -o {folder}")
+        made, where = folder / "certificate.json", shell_word(folder)
+        notes.append(f"Next: sampling-design verify {shell_word(made)}")
+        asked = f"{shell_word(plant_file)} MEASUREMENTS.csv --certificate {shell_word(made)} -o {where}"
+        notes.append(f"Next: sampling-design estimate {asked}")
     settings.show(certificate.to_dict(), record_table(certificate), *notes)
 
 

@@ -18,6 +18,7 @@ from sampling_design.cli.options import (
     Scheduler,
     TimingOption,
     WorkerCount,
+    shell_word,
     timing,
     workforce,
 )
@@ -137,7 +138,8 @@ def design(
         paths, notes = sd.design.write_design(result, folder, origin=zero, zone=zone)
         settings.wrote(*paths, notes=notes)
         settings.draw(result, "design", origin=zero)
-        next_steps = [f"Next: sampling-design certify {plant_file} {folder / 'schedule.csv'} -o {folder}"]
+        made = f"{shell_word(folder / 'schedule.csv')} -o {shell_word(folder)}"
+        next_steps = [f"Next: sampling-design certify {shell_word(plant_file)} {made}"]
     if result.decay is not None:
         next_steps = _bought(result, plant_file)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain(), *next_steps)
@@ -156,7 +158,7 @@ def _bought(result: ScheduleDesign, plant_file: Path) -> list[str]:
     )  # fmt: skip
     which = "the plant's scales, and the noise bounds of its sensors" if sensors else "the plant's scales"
     line = (
-        f"sampling-design accuracy {plant_file} --samples {','.join(map(str, decay.counts))} "
+        f"sampling-design accuracy {shell_word(plant_file)} --samples {','.join(map(str, decay.counts))} "
         f"--period {decay.to_a_tenth:g} --w-bound W --v-bound V"
     )
     return [f"{found.explain()} The bounds are typical sizes: {which}. With your own:", f"Next: {line}"]

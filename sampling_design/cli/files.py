@@ -12,7 +12,7 @@ from sampling_design.checkers.check import verdict
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
-from sampling_design.records.file_io import from_json, from_toml, read_text
+from sampling_design.records.file_io import from_json, from_toml, has_cells, read_text
 from sampling_design.schedules.files import MARK
 
 if TYPE_CHECKING:
@@ -254,7 +254,7 @@ def kind_of(path: Path) -> str:
     try:
         keys = set(from_json(text, "") if text.lstrip().startswith("{") else from_toml(text, ""))
     except SamplingDesignError:
-        first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+        first = next((line for line in text.splitlines() if has_cells(line)), "")
         cells = {cell.strip() for cell in re.split("[,;\t]", first)}
         return "measurement" if len(cells) > 1 and cells & {"time", "date"} else ""
     return next((kind for kind, known in _KEYS.items() if keys & known), "")

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 import sampling_design as sd
-from sampling_design.cli.options import by_name, listed
+from sampling_design.cli.options import by_name, listed, shell_word
 from sampling_design.cli.requirement_flags import (
     RequirementFlags,
     plan_requirement,
@@ -130,11 +130,13 @@ def new(
         raise ArgumentError(f"`DIR` {target} cannot be made a folder ({error.strerror}).") from None
     settings.wrote(_commented(sd.plants.write_plant(plant, paths[0]), PLANT))
     settings.wrote(_commented(sd.design.write_requirement(wanted, paths[1]), _dated(asked)))
-    words = f"Next: sampling-design design {paths[0]} {paths[1]} -o {target}"
+    words = f"Next: sampling-design design {shell_word(paths[0])} {shell_word(paths[1])} -o {shell_word(target)}"
     data = {"plant": plant.to_dict(), "requirement": wanted.to_dict()}
     if planned is not None:
         settings.wrote(_commented(write_plan_requirement(planned, paths[2]), PLAN))
-        words = f"Next: sampling-design plan {paths[0]} {paths[2]} -o {target / 'out'}"
+        words = (
+            f"Next: sampling-design plan {shell_word(paths[0])} {shell_word(paths[2])} -o {shell_word(target / 'out')}"
+        )
         data["plan"] = planned.to_dict()
     settings.show(data, words)
 

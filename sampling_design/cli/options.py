@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -91,6 +92,11 @@ class BoundOptions:
 
 
 UNBOUNDED = BoundOptions()
+
+
+def shell_word(path: Path) -> str:
+    """A path as it is typed at a shell."""
+    return shlex.quote(str(path))
 
 
 def listed(text: str) -> list[str]:

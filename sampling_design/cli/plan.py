@@ -13,7 +13,7 @@ import sampling_design as sd
 from sampling_design.accuracy.readings import PartialReading, as_typed
 from sampling_design.checkers.strict import is_text
 from sampling_design.cli import files
-from sampling_design.cli.options import TimingOption, number_or_text, timing
+from sampling_design.cli.options import TimingOption, number_or_text, shell_word, timing
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
@@ -78,9 +78,9 @@ def plan(
         file = folder / "plan.json"
         first = " --initial-error ERROR" if result.error_bounds["initial_error"] is None else ""
         tables += [
-            f"Next: sampling-design next {file} [MEASUREMENTS.csv]",
-            f"Next: sampling-design compare {file} MEASUREMENTS.csv",
-            f"Next: sampling-design estimate {file} MEASUREMENTS.csv{first} -o {folder}",
+            f"Next: sampling-design next {shell_word(file)} [MEASUREMENTS.csv]",
+            f"Next: sampling-design compare {shell_word(file)} MEASUREMENTS.csv",
+            f"Next: sampling-design estimate {shell_word(file)} MEASUREMENTS.csv{first} -o {shell_word(folder)}",
         ]
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":

@@ -69,6 +69,13 @@ def _no_text(where: str, content: bytes) -> FileFormatError:
     return FileFormatError(f"{where}: {words}.", where)
 
 
+def has_cells(line: str) -> bool:
+    """Whether a line of a table holds anything: it is no comment, no line sep=; of a workbook, and not all its cells are
+    empty.
+    """
+    return bool(line.strip(' \t\r\n;,"')) and not line.lstrip().startswith("#") and not line.startswith("sep=")
+
+
 def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
     """Yield the lines of a UTF-8 file, without their ends; only the one that is read is held.
 

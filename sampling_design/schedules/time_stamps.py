@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.dates import MICROSECONDS, UnmixedDates, date_in, passed, time_zone, zoned_date, zoned_text
-from sampling_design.records.file_io import csv_rows, decimal, read_text
+from sampling_design.records.file_io import csv_rows, decimal, has_cells, read_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS, check_time_unit
 from sampling_design.schedules.files import in_file
@@ -115,7 +115,7 @@ def import_time_stamps(
 
 def _table(text: str, where: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1)]
-    lines = [(n, line) for n, line in lines if line.strip() and not line.startswith("#")]
+    lines = [(n, line) for n, line in lines if has_cells(line)]
     if not lines:
         raise FileFormatError(f"{where}: is empty, expected a header and rows.", where)
     (_, header), *rows = csv_rows(lines, where)

@@ -1,6 +1,7 @@
 """What a newcomer gets wrong, and what is said to it: one sentence that names what came and what to do."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.estimators import estimator_choice
+from sampling_design.schedules.time_stamps import import_time_stamps
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANT = EXAMPLES / "plants" / "oscillator.toml"
@@ -306,3 +308,40 @@ def test_a_call(what):
     call, words = CALLS[what]
     with pytest.raises((sd.SamplingDesignError, AttributeError), match=re.escape(words)):
         call()
+
+
+def test_what_to_type_next_can_be_typed_whatever_a_folder_is_called(shell, tmp_path):
+    folder = tmp_path / "my l\u00e4b (new)"
+    runs = [shell("new", folder, "--oscillation", 24, "--samples", 4, "--spacing", 1)]
+    runs.append(shell("design", folder / "plant.toml", folder / "requirement.toml", "-o", folder, "--branches", 0))
+    runs.append(shell("certify", folder / "plant.toml", folder / "schedule.csv", "-o", folder))
+    said = [line for run in runs for line in run.out.splitlines() if line.startswith("Next: ")]
+    words = [word for line in said for word in shlex.split(line)[3:] if word.endswith((".toml", ".csv", ".json"))]
+    assert len(said) == 4
+    assert {word for word in words if not Path(word).is_file()} == {"MEASUREMENTS.csv"}
+
+
+def test_every_line_to_type_next_quotes_its_paths():
+    cli = Path(sd.__file__).parent / "cli"
+    lines = [line for path in cli.glob("*.py") for line in path.read_text().splitlines() if '"Next: sampling' in line]
+    loose = re.compile(r"\{(?!shell_word\(|first\}|made\}|asked\})")
+    assert len(lines) > 6
+    assert [line for line in lines if loose.search(line)] == []
+
+
+EXCEL = {
+    "empty rows": "{0}\n{1}\n;\n;;\n\n{2}\n;\n",
+    "a line that says the separator": "sep=;\n{0}\n{1}\n{2}\n",
+    "a mark and line ends": "\ufeff{0}\r\n{1}\r\n{2}\r\n\r\n",
+}
+"""How sheets come out of a spreadsheet program."""
+
+
+@pytest.mark.parametrize("form", EXCEL)
+def test_a_sheet_of_a_spreadsheet_program_is_the_table_that_it_shows(tmp_path, form):
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
+    path = tmp_path / "sheet.csv"
+    path.write_bytes(EXCEL[form].format("date;gauge", "2026-03-02 08:00;3,5", "2026-03-02 10:00;2,5").encode())
+    record = sd.read_measurements(path, plant)
+    assert record.y.tolist() == [[3.5], [2.5]]
+    assert record.times.tolist() == import_time_stamps(path, "h").times.tolist() == [0.0, 2.0]

@@ -62,7 +62,7 @@ def read_table(
             "read.",
             where,
         )
-    numbered = ((k, line) for k, line in enumerate(chain([opening], lines), 1) if _counts(line))
+    numbered = ((k, line) for k, line in enumerate(chain([opening], lines), 1) if file_io.has_cells(line))
     first = next(numbered, None)
     if first is None:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
@@ -371,15 +371,11 @@ def held_on(inputs: Array, before: Array | None = None) -> Array:
     return np.where(last < 0, first, np.take_along_axis(inputs, last, axis=0)) if len(inputs) else inputs
 
 
-def _counts(line: str) -> bool:
-    text = line.strip()
-    return bool(text) and not text.startswith("#")
-
-
 def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
     stamps = [name for name in STAMPS if name in header]
     if len(stamps) != 1:
-        raise FileFormatError(f"{where}: the header must hold `time` or `date`, got {', '.join(header)}.", where)
+        both = " One of them: a day and an hour stand in one cell, as 2026-03-16 08:00." if stamps else ""
+        raise FileFormatError(f"{where}: the header must hold `time` or `date`, got {', '.join(header)}.{both}", where)
     wanted = [*plant.outputs.names, *plant.inputs.names]
     missing = [name for name in wanted if name not in header]
     if missing:

@@ -134,9 +134,8 @@ def new(
     data = {"plant": plant.to_dict(), "requirement": wanted.to_dict()}
     if planned is not None:
         settings.wrote(_commented(write_plan_requirement(planned, paths[2]), PLAN))
-        words = (
-            f"Next: sampling-design plan {shell_word(paths[0])} {shell_word(paths[2])} -o {shell_word(target / 'out')}"
-        )
+        made = f"{shell_word(paths[2])} -o {shell_word(target / 'out')}"
+        words = f"Next: sampling-design plan {shell_word(paths[0])} {made}"
         data["plan"] = planned.to_dict()
     settings.show(data, words)
 

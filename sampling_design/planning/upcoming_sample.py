@@ -273,9 +273,8 @@ def next_sample(
         Before its first sample, the plan was followed since its start, where nothing is known but the requirement's
         `initial_error`. Default: it was followed until `now`.
     now : float, optional
-        A date, or a time, which has passed since the plan's start [the plant's time unit], so that a day on which
-        clocks are put forward has 23 h. Default: the last sample of the record, else 0. A date without a zone is by the
-        clocks of the plan.
+        A date (without a zone: by the plan's clocks), or the time that has passed since the plan's start [the plant's
+        time unit]: a day on which clocks are put forward has 23 h. Default: the last sample of the record, else 0.
     awaited : iterable of (t, output)
         Samples since the first one of the record that were taken and whose results are not in; each counts from its
         `result_delay` on. One that should be in by now counts as lost. Without a record the plan's own are out.

@@ -70,9 +70,7 @@ def _no_text(where: str, content: bytes) -> FileFormatError:
 
 
 def has_cells(line: str) -> bool:
-    """Whether a line of a table holds anything: it is no comment, no line sep=; of a workbook, and not all its cells are
-    empty.
-    """
+    """Whether a line of a table holds anything: no comment, no line sep=; of a spreadsheet, not only empty cells."""
     return bool(line.strip(' \t\r\n;,"')) and not line.lstrip().startswith("#") and not line.startswith("sep=")
 
 

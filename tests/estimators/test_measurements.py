@@ -97,7 +97,7 @@ def test_a_name_that_no_column_gives_back_is_not_written(tmp_path, name):
         ("gauge,flow,pump\n", "the header must hold `time` or `date`"),
         (
             "time,date,gauge,flow,pump\n",
-            r"the header must hold `time` or `date`, .* One of them: a day and an hour stand",
+            r"the header must hold `time` or `date`, .* One of them: a day and an",
         ),
         ("time,gauge,pump\n", "column 'flow' is missing; the plant names gauge, flow, pump"),
         ("time,gauge,gauge,flow,pump\n", "column 'gauge' occurs twice"),

@@ -19,7 +19,7 @@ from sampling_design.records.dates import UnmixedDates, date_after, time_zone, u
 from sampling_design.records.declarations import moment
 from sampling_design.records.file_io import row_name
 from sampling_design.records.units import SECONDS
-from sampling_design.schedules.files import MARK
+from sampling_design.schedules.files import MARK, in_file
 
 Numbered = tuple[int, str]
 
@@ -126,7 +126,7 @@ class _DateConverter:
         try:
             self._unmixed.take(date, f"the date {_place(self.where, line)}")
         except ArgumentError as error:
-            raise FileFormatError(f"{self.where}: {error}", self.where) from None
+            raise in_file(error, self.where) from None
         if date.tzinfo is not None:
             return date
         self.naive = True

@@ -141,7 +141,7 @@ def test_a_mean_over_a_day_is_a_row_of_its_own():
     tank = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
     still = BoundedSet.box(np.zeros(2), np.zeros(2))
     rows = [(2.0, (RowReading(tank.C[0], 1.0, 0.1, since=0.0),)), (6.0, (RowReading(tank.C[0], 5.0, 0.1, since=4.0),))]
-    readings = Readings.unread(tank, still, BoundedSet.of("initial_error", None, 2), 0.0).reading(rows)
+    readings = Readings.unread(tank, still, BoundedSet.of("initial_error", None, tank.states.names), 0.0).reading(rows)
     assert readings.times.tolist() == [0.0, 2.0, 4.0, 6.0]
     found = prove(RecordProgram(readings), 6.0, sd.plants.rows.requested_rows(tank))
     # x(1) = 1 +- .1 and x(5) = 5 +- .1: slope 1 +- .05, x(6) = 6 +- .15
@@ -158,7 +158,7 @@ def test_a_mean_lies_after_the_start_and_after_the_mean_before(since):
     ]
     push = BoundedSet.box(np.zeros(2), np.ones(2))
     with pytest.raises(ArgumentError, match=r"of the mean read at 3\.0 lies before the start or in the mean before it"):
-        Readings.unread(PLANT, push, BoundedSet.of("initial_error", None, 2), 0.0).reading(rows)
+        Readings.unread(PLANT, push, BoundedSet.of("initial_error", None, tank.states.names), 0.0).reading(rows)
 
 
 def test_the_set_membership_estimator_returns_the_centre():

@@ -158,7 +158,7 @@ def test_a_mean_lies_after_the_start_and_after_the_mean_before(since):
     ]
     push = BoundedSet.box(np.zeros(2), np.ones(2))
     with pytest.raises(ArgumentError, match=r"of the mean read at 3\.0 lies before the start or in the mean before it"):
-        Readings.unread(PLANT, push, BoundedSet.of("initial_error", None, tank.states.names), 0.0).reading(rows)
+        Readings.unread(PLANT, push, BoundedSet.of("initial_error", None, PLANT.states.names), 0.0).reading(rows)
 
 
 def test_the_set_membership_estimator_returns_the_centre():

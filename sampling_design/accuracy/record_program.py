@@ -408,6 +408,13 @@ class RecordProgram:
                 path[k + 1] = F @ path[k]
         return path if np.isfinite(path).all() else np.zeros_like(path)
 
+    @cached_property
+    def _flow_errors(self) -> Array:
+        """(K-1, n) errors of the states after each gap, of the terms of F x: where these cancel, they exceed x."""
+        held = np.abs(self.readings.nominal) / self.table.D
+        moved = np.matmul(np.abs(self.F), (held + np.abs(self._near))[:-1, :, None])[:, :, 0] + held[1:]
+        return np.asarray(moved * (FLOW_HELD * np.array([gap.third.size for gap in self.gaps]).reshape(-1, 1)))
+
     def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
         """(K-1, n) costates just after each gap, and the rest at the start."""
         steps = self.readings.per_time(self.H * gains[:, None])
@@ -425,7 +432,7 @@ class RecordProgram:
 
     def _upper(self, t: float, row: Array, gains: Array) -> RowEnd:
         c, added = self._ahead(t, row)
-        residuals, start, w, v = self.costs(c, gains)
+        residuals, start, w, v, rounded = self.costs(c, gains)
         nominal = self.readings.nominal_at(t)
         value = float(row @ nominal) + residuals
         exact = added + start + w + v
@@ -433,27 +440,29 @@ class RecordProgram:
         read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         ahead = self.table.open(t - read.times[-1]).third.size if t > read.times[-1] else 0
-        held = (self._rounded + FLOW_HELD * ahead) * float(terms)
+        held = (self._rounded + FLOW_HELD * ahead) * float(terms) + rounded
         end = value + width + held
         if not np.isfinite(end):
             return RowEnd(np.inf, residuals + width, width, gains)
         return RowEnd(end, residuals + width, width, gains, room=ROUNDING * exact + held)
 
-    def costs(self, c: Array, gains: Array) -> tuple[float, float, float, float]:
+    def costs(self, c: Array, gains: Array) -> tuple[float, float, float, float, float]:
         """Return what gains cost for a target (n,) in D coordinates at the last time: residuals, start, w and v.
 
-        Residuals are in units of no bound: 0 <= residuals + start + w + v for the row 0.
+        And the rounding of the flows, which acts on states as w does. Residuals are in units of no bound:
+        0 <= residuals + start + w + v + rounding for the row 0.
         """
         read = self.readings
         costates, rest = self._costates(c, gains)
         w = self._quadrature.integral(costates, read.disturbance.ball) if len(costates) else 0.0
         if np.any(gains[read.below] < 0):
-            return 0.0, np.inf, w, 0.0
+            return 0.0, np.inf, w, 0.0, 0.0
         if read.start.unbounded:
             start = 0.0 if self._closed(c, gains, rest) else np.inf
         else:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
-        return float(gains @ read.residuals), start, w, read.noise(gains)
+        rounded = float(np.vdot(np.abs(costates), self._flow_errors))
+        return float(gains @ read.residuals), start, w, read.noise(gains), rounded
 
     def least_growth(self, which: str) -> Array:
         """Return gains for the row 0 that prove best by how much bounds (`WHICH_BOUNDS`) would have to grow.
@@ -478,10 +487,11 @@ class RecordProgram:
         `room` is the share of what is left to rounding, as `RowEnd.again`.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            residuals, start, w, v = self.costs(np.zeros(len(self.table.D)), gains)
+            residuals, start, w, v, rounded = self.costs(np.zeros(len(self.table.D)), gains)
         fixed = {"all": 0.0, "w": start + v, "v": start + w}[which]
         grown = {"all": start + w + v, "w": w, "v": v}[which]
         error = self._rounded * float(np.abs(gains) @ (np.abs(self.readings.y) + np.abs(self.readings.residuals)))
+        error += rounded
         needed = -residuals - fixed * (1 + room * ROUNDING) - room * error
         if not (0 < needed < np.inf and grown < np.inf):
             return 0.0

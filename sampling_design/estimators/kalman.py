@@ -23,9 +23,8 @@ from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     ROUNDING,
-    held_entries,
-    judged,
     overflowed,
+    represented,
     rounding_energy,
     scaled_bound,
     too_large,
@@ -144,12 +143,13 @@ class KalmanFilter(WindowedEstimator):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             solved = SolvedSample(x, Y, verdict._replace(beta=beta), "filter", note)
             return self.recorder.node(state, new, solved, begun)
-        terms += rounding_energy(self.weights, y, x)
+        # an innovation is the difference of what was read and what was predicted, and has no other margin here
+        terms += rounding_energy(self.weights, np.abs(y) + np.abs(self.plant.C) @ np.abs(x), x)
         deviation, step, weighted_innovation = root_update(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(deviation @ deviation.T)), freeze(x + step)
         cost = float(weighted_innovation @ weighted_innovation)
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
-        verdict = judged(self.weights, terms, cost * (1 - ROUNDING), last)
+        verdict = self._judged(state, new, terms, cost * (1 - ROUNDING))
         if verdict.status == "bounds disproved" and last.stands:
             verdict = verdict._replace(
                 contradiction=self._contradiction(sample, last.number + 1, (weighted_innovation, cost), (terms, own))
@@ -176,7 +176,7 @@ class KalmanFilter(WindowedEstimator):
             + rounding_energy(self.weights, window.y, window.reference)
         )
         terms += window.total(self.bounds.of_samples(window.masks)) + self._mean_noise_energy(window)
-        verdict = judged(self.weights, terms, solution.dual, last)
+        verdict = self._judged(state, new, terms, solution.dual, solution.held)
         if verdict.status == "bounds disproved" and last.stands:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
             mask[0, [output for output, _, _ in means]] = 1.0
@@ -237,7 +237,7 @@ class KalmanFilter(WindowedEstimator):
         for k, node in enumerate(nodes[1:], 1):
             j = at[node.t]
             known = min(k + REMEMBERED // 2, len(nodes) - 1)
-            covariance, _, radius = held_entries(covariances[j], abs(smoothed.nodes[j]), latest.radius)
+            covariance, radius, _ = represented(covariances[j], abs(smoothed.nodes[j]), latest.radius)
             estimates.append(
                 fresh.recorder.proven(
                     fresh.state,

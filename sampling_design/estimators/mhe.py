@@ -27,7 +27,6 @@ from sampling_design.estimators.online.schedule_watch import ScheduleClaim, choo
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
     SolveVerdict,
-    judged,
     overflowed,
     rounding_energy,
     scaled_bound,
@@ -289,7 +288,8 @@ class MovingHorizonEstimator(WindowedEstimator):
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if verdict.status == "ok":
                 terms += self._noise_energy(window, solution)
-                verdict, cost = judged(self.weights, terms, solution.dual, last), solution.cost
+                verdict = self._judged(state, new, terms, solution.dual, solution.held)
+                cost = solution.cost
                 if verdict.status == "bounds disproved" and last.stands:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
                     verdict = verdict._replace(contradiction=self._contradiction(window, terms, solution.dual, numbers))

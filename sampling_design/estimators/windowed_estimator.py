@@ -27,7 +27,14 @@ from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
-from sampling_design.estimators.online.verdict import judged, rounding, scaled_bound
+from sampling_design.estimators.online.verdict import (
+    SolveVerdict,
+    in_units_of,
+    judged,
+    passed,
+    rounding,
+    scaled_bound,
+)
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import BandCache, InitialNode
@@ -317,6 +324,18 @@ class WindowedEstimator(OnlineEstimator):
         if verdict.status == "bounds disproved" and nodes[-1].stands:
             return None
         return SolvedSample(optimum.x, optimum.Y, verdict, "banded", "", optimum.cost, optimum.precision)
+
+    def _judged(
+        self, state: EstimatorState, new: IncomingNode, terms: float, dual: float, held: float = 0.0
+    ) -> SolveVerdict:
+        """Return what a solve is worth; bounds are disproved only by more than the prediction's rounding may cost."""
+        last, flow, drift = state.last, new.flow, new.drift
+        verdict = judged(self.weights, terms, dual, last, held)
+        if verdict.status == "bounds disproved":
+            with np.errstate(over="ignore", invalid="ignore"):
+                x, Y, _ = self.loop.propagated(last, flow, drift)
+            verdict = judged(self.weights, terms, dual, last, held + in_units_of(Y, passed(last, flow, drift, x))[0])
+        return verdict
 
     def _left_out(self, sample: RecordRow, start: WindowStart) -> str:
         """What is said of a mean that began before the window."""

@@ -154,9 +154,14 @@ def floored(correlations: Array) -> Array:
 def inverse_of_root(root: Array) -> Array:
     """Return Z (..., n, n) with Z'Z = (root root')^-1, entry by entry to n eps of what is known of it."""
     unit = np.maximum(np.linalg.norm(root, axis=-1), TINY)
-    turn, sizes, _ = np.linalg.svd(root / unit[..., None])
-    least = np.maximum(sizes, root.shape[-2] * EPS * sizes[..., :1])
-    return np.asarray(turn.swapaxes(-1, -2) / least[..., None] / unit[..., None, :])
+    return np.asarray(inverse_of_unit_rows(root / unit[..., None]) / unit[..., None, :])
+
+
+def inverse_of_unit_rows(root: Array) -> Array:
+    """Return it for a root whose rows have the length 1, or 0; what is known of any direction is n eps or more."""
+    turn, sizes, _ = np.linalg.svd(root)
+    least = np.maximum(sizes, np.maximum(root.shape[-2] * EPS * sizes[..., :1], TINY))
+    return np.asarray(turn.swapaxes(-1, -2) / least[..., None])
 
 
 def carried(root: Array, F: Array, noise: Array) -> Array:

@@ -16,7 +16,7 @@ import pytest
 from sampling_design import KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.gap_flows import flows
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
-from sampling_design.estimators.online import recorder, verdict
+from sampling_design.estimators.online import verdict
 from tests.cases import few
 from tests.oracles.filters import Filter
 
@@ -154,7 +154,7 @@ def test_a_row_in_which_an_ellipsoid_is_flat_is_known_to_rounding_and_no_further
 
 
 def test_without_the_rounding_the_law_is_broken(monkeypatch):
-    for room, name in ((verdict, "ROUNDED"), (recorder, "PROPAGATED"), (flows, "COVARIANCE_ERROR")):
+    for room, name in ((verdict, "ROUNDED"), (verdict, "PROPAGATED"), (flows, "COVARIANCE_ERROR")):
         monkeypatch.setattr(room, name, 0.0)
     assert worst_miss(29, 30)[0] > 1e-9
 

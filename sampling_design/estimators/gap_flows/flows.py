@@ -31,6 +31,10 @@ LONGEST = 700.0  # exponents from here on count as overflows: e^709 is the large
 COVARIANCE_ERROR = 2e-14
 """Relative error of a W in units of its diagonal: its inverse is off by as much times its condition."""
 
+PROPAGATED = 4e-15
+"""Relative error of a covariance that was propagated over a gap, in units of its diagonal: times its condition it is
+that of the ellipsoid."""
+
 
 _BothEnds = tuple[Array | None, float, Array | None]  # `joint`, `loose` and `band` of a gap
 _NO_ENDS: _BothEnds = (None, 0.0, None)
@@ -150,9 +154,9 @@ class GapFlow:
         return self._arrival[1]
 
     def covariance(self, Y: Array) -> Array:
-        """Return growth F Y F' + W, exactly symmetric."""
+        """Return growth F Y F' + W, exactly symmetric, with what rounding may hide of it."""
         moved = self._carried(Y)
-        return (moved + moved.T) / 2
+        return without_lost((moved + moved.T) / 2)
 
     def _carried(self, Y: Array) -> Array:
         moved: Array = self.F.dot(Y).dot(self.F.T)
@@ -278,25 +282,30 @@ def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
     return gap if eta == 0 else -np.expm1(-eta * gap) / eta
 
 
-def _units(W: Array) -> Array:
-    """Roots of the diagonal of W, 1 where it is 0: in these units W is a correlation matrix.
+def without_lost(Y: Array) -> Array:
+    """Return a covariance that is no smaller than the exact one: `PROPAGATED` times n of its diagonal is added to it.
 
-    Units and the powers of h between position and velocity drop out of what is then called ill-conditioned.
+    In place. A direction in which Y's digits are lost is then known to 1e-7 of the rest, not to 0 or less.
     """
-    size = np.sqrt(W.diagonal())
-    return np.where(size > 0, size, 1.0)
+    Y.ravel()[:: len(Y) + 1] *= 1 + len(Y) * PROPAGATED
+    return Y
 
 
 def noise_root(W: Array) -> tuple[Array, Array]:
-    """Return a root of W and its pseudo-inverse; NaN where W overflowed."""
+    """Return a root of W and its pseudo-inverse; NaN where W overflowed.
+
+    Of W and what rounding may hide of it, n `COVARIANCE_ERROR` of its diagonal: a displacement never costs more than in
+    exact arithmetic, also in directions in which digits of W are lost.
+    """
     if not np.isfinite(W).all():
         return np.full_like(W, np.nan), np.full_like(W, np.nan)
-    unit = _units(W)
-    values, vectors = np.linalg.eigh(W / unit[:, None] / unit)
-    kept = values > len(W) * np.finfo(float).eps
-    scale = np.sqrt(np.where(kept, values, 1.0))
-    root = unit[:, None] * vectors * np.where(kept, scale, 0.0)
-    return root, vectors.T * np.where(kept, 1 / scale, 0.0)[:, None] / unit
+    root, whiten = np.zeros((2, *W.shape))
+    driven = np.flatnonzero(W.diagonal() > 0)
+    among, size = np.ix_(driven, driven), np.sqrt(W.diagonal()[driven])
+    values, vectors = np.linalg.eigh(W[among] / size[:, None] / size)
+    scale = np.sqrt(np.maximum(values, 0.0) + len(W) * COVARIANCE_ERROR)
+    root[among], whiten[among] = size[:, None] * vectors * scale, vectors.T / scale[:, None] / size
+    return root, whiten
 
 
 def _half(M: Array) -> Array | None:

@@ -16,17 +16,11 @@ from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     CovariancePrecision,
     SolveVerdict,
-    held_entries,
-    in_units_of,
-    moved,
     passed,
+    represented,
 )
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-
-PROPAGATED = 4e-15
-"""Relative error of a covariance that was propagated over a gap, in units of its diagonal: times its condition it is
-that of the ellipsoid."""
 
 OFF_SCHEDULE = "No a-priori claim: off the certificate's schedule."
 
@@ -111,12 +105,9 @@ class Recorder:
         last, flow, drift, (x, Y, verdict, engine, note, cost, precision) = state.nodes[-1], new.flow, new.drift, solved
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
         beta, status, sound, contradiction = verdict
-        wider, led, beta = held_entries(Y, led, beta)
-        if wider is not Y:
-            Y, precision = freeze(wider), None
-        size, condition = in_units_of(Y, led, precision)
         loose = max(last.loose, flow.loose)
-        beta = beta * (1 + PROPAGATED * condition + loose) + moved(beta, size)
+        wider, beta, size = represented(Y, led, beta * (1 + loose), precision)
+        Y = Y if wider is Y else freeze(wider)
         estimate = self.estimate(
             new.t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note,
             engine=engine, window_start=start, cost=cost,
@@ -137,9 +128,7 @@ class Recorder:
         drift = state.drift(loop.table, node.t, t)
         x, Y, beta = loop.ahead(node, flow, drift)
         loop.refuse_overflow(flow, t, x, Y)
-        Y, led, beta = held_entries(Y, passed(node, flow, drift, x), beta)
-        size, condition = in_units_of(Y, led)
-        beta = beta * (1 + PROPAGATED * condition + loop.weights.loose) + moved(beta, size)
+        Y, beta, _ = represented(Y, passed(node, flow, drift, x), beta * (1 + loop.weights.loose))
         scheduled = node.scheduled and self.claim.nothing_missed(state.nodes[: at + 1], t)
         return self.estimate(
             t, freeze(x), freeze(Y), beta, "predicted", sound=node.stands, scheduled=scheduled,

@@ -10,7 +10,7 @@ from scipy.linalg import lapack
 
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
-from sampling_design.estimators.gap_flows.flows import GapFlow
+from sampling_design.estimators.gap_flows.flows import PROPAGATED, GapFlow, without_lost
 from sampling_design.estimators.online.estimate import Contradiction, Status
 from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.numerics.filtering import floored
@@ -23,6 +23,9 @@ ROUNDED = 1e-14
 SHARE_HELD = 1e-3
 """Share of a bound that is added to it for entries that it leaves less than their rounding: a larger one widens them
 less, and all others more."""
+
+LOST = 1e-6
+"""Share of a radius that rounding of its covariance may cost; beyond it the covariance grows instead."""
 
 EXACT_DATA = 1e-13
 """Relative error with which even exact data and states are held; its square, in the weights, joins every bound."""
@@ -109,6 +112,22 @@ def in_units_of(Y: Array, size: Array, precision: CovariancePrecision | None = N
     return far * far, near * near
 
 
+def represented(
+    Y: Array, size: Array, bound: float, precision: CovariancePrecision | None = None
+) -> tuple[Array, float, float]:
+    """Return Y and a bound |z|^2_Y^-1 as doubles can hold them, no smaller than in exact numbers, and `size` in Y.
+
+    Where the condition of Y's correlations has cost it digits, its diagonal grows by what rounding may hide; elsewhere
+    the bound does.
+    """
+    wider, size, bound = held_entries(Y, size, bound)
+    held, condition = in_units_of(wider, size, precision if wider is Y else None)
+    if PROPAGATED * condition > LOST:
+        wider, condition = without_lost(wider.copy()), 0.0
+        held, _ = in_units_of(wider, size)
+    return wider, bound * (1 + PROPAGATED * condition) + moved(bound, held), held
+
+
 def rounding(read: float, held: float) -> float:
     """What the rounding of measurements and of states may cost, for the sums of their weighted squares."""
     return (EXACT_DATA * (math.sqrt(read) + math.sqrt(held))) ** 2
@@ -130,15 +149,16 @@ class SolveVerdict(NamedTuple):
     contradiction: Contradiction | None
 
 
-def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode) -> SolveVerdict:
+def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode, held: float = 0.0) -> SolveVerdict:
     """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand.
 
-    `terms` is what the truth costs at most, `dual` a lower bound on what any trajectory costs.
+    `terms` is what the truth costs at most, `dual` a lower bound on what any trajectory costs, `held` the squares of
+    the numbers of a solve in units of what is known of them.
     """
-    beta = terms - dual
-    if beta < -CONTRADICTION * terms:
+    beta, rest = terms - dual, moved(terms, last.held + held)
+    if beta < -CONTRADICTION * terms - rest:
         return SolveVerdict(0.0, "bounds disproved", False, last.contradiction)
-    rest = (ROUNDING + weights.loose) * terms + moved(terms, last.held)
+    rest += (ROUNDING + weights.loose) * terms
     return SolveVerdict(max(beta, 0.0) + rest, "ok", last.stands, last.contradiction)
 
 

@@ -11,19 +11,24 @@ and then costs J* + |z|^2. Constraints become a least-distance problem in z (`qp
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack
 
+from sampling_design.estimators.online.verdict import ROUNDED, SHARE_HELD
 from sampling_design.estimators.window.means import with_means
 from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, EstimateDeviations, WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
-from sampling_design.numerics.filtering import root_update
+from sampling_design.numerics.filtering import inverse_of_unit_rows, root_update
 from sampling_design.records.arrays import Array
 
 VANISHED = float(np.sqrt(np.finfo(float).tiny))  # a root below it has no square
+HIDDEN_STEP = 1e-8
+"""Deviation of what stands for a gap's rounding, of the size of its terms: the root of eps, half the digits."""
+
 HIDDEN = 1e-14  # share of a column below which what others leave of it is rounding
 
 
@@ -35,25 +40,33 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     *Method.* In units of the last node the covariance root S_j goes through the triangular factor of
     [[S_j'F', S_j'], [root', 0]] = Q [[P', K], [0, D']]: P is the predicted root, (P^-T K)' = G_j the smoother's
     gain, D the root of what x_{j+1} leaves unknown of x_j. A sample does the same with [[I, 0], [S'C', S']].
+
+    *Numerical aspects.* Rounding over a gap is a disturbance of its own, entry by entry: of deviation `HIDDEN_STEP`
+    times that of the terms of F S_j, of which the truth, to follow a rounding by e, needs n (e / HIDDEN_STEP)^2 of
+    its cost; and of the size of states and inputs, such that it costs `SHARE_HELD` of a bound in all (`held`).
     """
     n, count = window.reference.shape[1], window.times.size
-    roots, gains = np.empty((count, n, n)), np.empty((count - 1, n, n))
-    filtered, predicted = np.empty((count, n)), np.empty((count, n))
-    scale = np.sqrt(window.discount)
+    roots, gains, filters = np.empty((count, n, n)), np.empty((count - 1, n, n)), np.empty((count, n, n))
+    filtered, predicted, size = np.empty((count, n)), np.empty((count, n)), np.zeros((count, n))
+    scale, held = np.sqrt(window.discount), np.abs(window.reference)
     root, mean, cost = window.prior_root / scale[0], np.zeros(n), 0.0
     for j in range(count):
         predicted[j] = mean
         if window.masks[j].any():
             root, mean, part = _absorb(window, j, root, mean, scale[j])
+            size[j] += np.abs(mean - predicted[j])
             cost += part
-        filtered[j] = mean
+        filtered[j], filters[j] = mean, root
         if j + 1 == count:
             break
         flow = window.flows[j]
-        width = flow.root.shape[1]
-        stacked = np.zeros((n + max(n, width), 2 * n))
+        width, moved = flow.root.shape[1], flow.size @ np.abs(root)
+        size[j + 1] = np.maximum(held[j + 1], flow.size @ (held[j] + np.abs(mean)) + np.abs(window.drift[j]))
+        rounding = ROUNDED * math.sqrt(count / SHARE_HELD) / scale[j + 1] * size[j + 1]
+        stacked = np.zeros((2 * n + max(n, width), 2 * n))
         stacked[:n, :n], stacked[:n, n:] = root.T @ flow.F.T, root.T
         stacked[n : n + width, :n] = flow.root.T / scale[j + 1]
+        stacked[-n:, :n] = np.diag(np.hypot(HIDDEN_STEP * np.sqrt(np.einsum("ik,ik->i", moved, moved)), rounding))
         root, gains[j], roots[j] = _passed(stacked, n)
         mean = flow.F @ mean + window.defect[j]
     roots[-1] = root
@@ -64,7 +77,25 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     fit = window.weighted(window.residual)
     margin = DUAL_MARGIN * (cost + float(np.einsum("k,ki,ki->", window.discount, fit, fit)))
     found = EstimateDeviations(roots, gains)
-    return WindowEstimate(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
+    return WindowEstimate(
+        window.reference + nodes,
+        root @ root.T,
+        cost,
+        cost - margin,
+        "square root",
+        found,
+        held=_in_units(filters, size),
+    )
+
+
+def _in_units(roots: Array, size: Array) -> float:
+    """Return |z|^2 for the largest |S_j^-1| size_j of all nodes, entry by entry; infinite beyond all numbers."""
+    unit = np.linalg.norm(roots, axis=2)
+    if not (np.isfinite(unit).all() and np.isfinite(size).all()):
+        return np.inf
+    unit = np.where(unit > 0, unit, np.inf)  # what is nothing, and known to be, is not rounded
+    far = np.matmul(np.abs(inverse_of_unit_rows(roots / unit[:, :, None])), (size / unit)[:, :, None])
+    return float(np.vdot(far, far))
 
 
 def _passed(stacked: Array, n: int) -> tuple[Array, Array, Array]:

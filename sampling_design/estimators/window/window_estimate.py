@@ -77,3 +77,4 @@ class WindowEstimate:
     spread: EstimateDeviations  # every other trajectory relative to this one
     status: Status = "ok"  # "ok", "infeasible" or "solver failed"
     note: str = ""  # what could not be met
+    held: float = 0.0  # squares of the numbers behind the nodes, in units of what is known of each; see `moved`

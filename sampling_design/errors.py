@@ -96,7 +96,8 @@ class InfeasibleRequirementError(MathematicsError):
     obstacle : str
         The constraint that cannot be met.
     nearest : dict
-        The change of the requirement that would make it feasible, as keyword arguments.
+        The change of the requirement that would make it feasible, as keyword arguments. Of a plan's `accuracy` the
+        tolerances, by goal, that can be kept.
     """
 
     def __init__(self, message: str, obstacle: str = "", nearest: Mapping[str, object] | None = None) -> None:

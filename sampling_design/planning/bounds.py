@@ -164,14 +164,16 @@ class CostProver:
     ) -> CostProof | None:
         """The proof with the highest level at which every choice costs more than `limit`; None without work for one.
 
-        `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice.
+        `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice. What
+        rounding puts above that proves nothing, as where nothing drives what is wanted.
         """
         best: CostProof | None = None
+        attained = high
         more, low = limit + (self.covering.grain or 1e-6 * max(limit, 1.0)), 0.0
         enough = more * (1 - 1e-9)
         if known > 0:
             best = self.least_cost(known, more, keys, decide=True)
-            if best.value >= enough and not best.judged:
+            if best.value >= enough and not best.judged and known <= attained:
                 return best
             best, low, high = (best, known, high) if best.value >= enough else (None, 0.0, known)
         ratio, trajectory, end = self.pool.against(self.covering.problem.allowed)
@@ -187,7 +189,7 @@ class CostProver:
                 best, low = proof, level
             else:
                 high = level
-        return best
+        return best if best is not None and best.level <= attained else None
 
 
 class _ProofTree:

@@ -407,7 +407,8 @@ class PlanSearch:
     def _one_by_one(self, level: float, below: float) -> tuple[Mask | None, bool] | None:
         """The best choice below a cost that keeps a level, or that there is none: each judged by the filter.
 
-        None where they are too many, or those that the filter does not refute are not admissible.
+        None where they are too many, or those that keep it are not admissible. No tangent refutes what nothing drives
+        and what grows; its filter, which begins with nothing known, does.
         """
         grid_filter = self.oracle.grid_filter
         if grid_filter is None or not self.stochastic or below == np.inf:
@@ -419,7 +420,7 @@ class PlanSearch:
         for k in np.argsort(worst, kind="stable").tolist():
             if worst[k] <= level and self.problem.is_admissible(trials[k]) and self.oracle.hidden(trials[k]) is None:
                 return trials[k], False
-        return None
+        return (None, True) if worst.min() > level else None
 
     def _started(self, level: float) -> float:
         """The least cost of the choices to start with that keep a level; infinite if none does."""

@@ -355,3 +355,35 @@ def test_choices_that_say_nothing_of_a_goal_are_refused():
     hours = {"start": "2026-03-03", "hours": {"Tue": [["08:00", "10:00"]]}}
     with pytest.raises(InfeasibleRequirementError, match="No sensor that may be measured has a"):
         pose_plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.8)}, sensors=closed, calendar=hours, **hourly))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_nothing_drives_has_no_bound_above_what_is_reached(seed):
+    """In coordinates that mix a mode with others rounding drives it: of what is known exactly no ratio is proven."""
+    T = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    A = np.array([[0.0, 3.25, 0.0], [-3.25, 0.0, 0.0], [0.0, 0.0, -1.46]])
+    G = np.array([[0.68, 0.79, -0.42], [0.33, 0.45, 1.65], [0.0, 0.0, 0.0]])
+    plant = sd.Plant(T @ A @ T.T, [[0.46, -1.68, 0.14]] @ T.T, G=T @ G)
+    asked = {"fading": goal(0.9, row=T[:, 2], at="after each sample")}
+    terms = {"y1": {"noise_deviation": 0.05}}
+    wanted = sd.PlanRequirement(asked, period=1.0, grid=0.25, w_intensity=0.01, sensors=terms)
+    plan = sd.plan_samples(plant, wanted, search_seconds=0.05, certificate=False, robustness=False, from_start=False)
+    assert plan.ratio == 0.0
+    assert plan.bound.ratio is None
+    assert "0 of the tolerances" in str(plan)
+
+
+def test_the_search_ends_where_a_growing_state_that_nothing_drives_refutes_choices():
+    G = [[0.0, 0.0], [-2.4e-5, -1.56e-5]]
+    plant = sd.Plant(np.diag([0.786, 0.227]), [[2.08, -1.34e5], [0.125, 0.544e5]], G=G)
+    terms = {"y1": {"noise_deviation": 0.1, "price": 3.0}, "y2": {"noise_deviation": 0.3, "price": 0.0}}
+    asked = {"x1": goal(6.1, at="after each sample"), "x2": goal(3.9e-5, at="after each sample")}
+    wanted = sd.PlanRequirement(asked, period=3.0, grid=0.5, w_intensity=0.01, sensors=terms, visit_price=2.0)
+    problem = pose_plan(plant, wanted)
+    search = PlanSearch(problem, AccuracyOracle(problem, discretize(problem)))
+    twice = np.zeros((6, 2), dtype=bool)
+    twice[[0, 3], 1] = True
+    chosen, none = search._one_by_one(1.0, 5.0)
+    assert np.array_equal(chosen, twice)
+    assert not none
+    assert search._one_by_one(1.0, problem.cost(twice)) == (None, True)  # one sample, which leaves 1.14 of a tolerance

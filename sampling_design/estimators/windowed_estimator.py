@@ -270,7 +270,7 @@ class WindowedEstimator(OnlineEstimator):
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self.loop.between(state, node.t, s)
         x, Y, beta = self.loop.propagated(node, flow, drift)
-        if math.isfinite(x.dot(x) + Y.ravel().dot(Y.ravel())):
+        if math.isfinite(x.dot(x) + np.vdot(Y, Y)):
             return x, Y, beta
         self.loop.refuse_overflow(flow, s, x)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":

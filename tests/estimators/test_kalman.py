@@ -166,3 +166,16 @@ def test_times_of_a_clock_that_began_long_ago_are_told_to_the_second():
     walk = sd.KalmanFilter(sd.Plant([[0.0]], [[1.0]]), w_bound=0.1, v_bound=0.3, initial_error=1.0, prior_time=1.7e9)
     found = walk.run([(1.7e9 + k, [1.0]) for k in range(1, 13)])
     assert "from 1700000001 to 1700000012 s" in str(found)
+
+
+def test_a_covariance_whose_squares_overflow_is_one_and_nothing_warns():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    for kind in (sd.KalmanFilter, sd.MovingHorizonEstimator):
+        given = {"horizon": 1.0} if kind is sd.MovingHorizonEstimator else {}
+        estimator = kind(plant, w_bound=0.1, v_bound=0.1, initial_error=1e80, **given)
+        estimator.start([0.0, 0.0])
+        first = estimator.predict(0.0)
+        assert np.diag(first.covariance).min() > 1e155
+        assert np.isfinite(first.radius)
+        assert np.isfinite(estimator.update(0.3, [1.0]).x).all()
+        assert np.isfinite(estimator.update(2.0, [1.0]).x).all()

@@ -152,5 +152,5 @@ class Recorder:
 
 def _is_finite(Y: Array) -> bool:
     """Whether all entries of a covariance are finite: most often one sum tells."""
-    with np.errstate(over="ignore"):  # the square of one that is finite
-        return math.isfinite(Y.ravel().dot(Y.ravel())) or bool(np.isfinite(Y).all())
+    # `vdot` says nothing of squares that overflow; `dot` does
+    return math.isfinite(np.vdot(Y, Y)) or bool(np.isfinite(Y).all())

@@ -134,6 +134,17 @@ def test_of_functions_nothing_is_proven_and_it_is_said():
     assert "nothing is proven" in str(found)
 
 
+@pytest.mark.parametrize("unit", [300.0, 1.2e3])
+def test_units_far_apart_without_scales_leave_no_proof_and_no_false_zero(unit):
+    """The bound of the error is far above sigma, and at last its square is none in doubles: that hides no direction."""
+    still = sd.Plant([[0.0, unit], [-1 / unit, 0.0]], [[1.0, 0.0]])
+    plant, samples = TimeVaryingPlant.from_table([0.0, 0.6], [still.A] * 2, [still.C] * 2), sd.Schedule([0.0, 0.3, 0.6])
+    found, known = sd.window_sigma(plant, samples, 0.6, budget=0.1), sd.window_sigma(still, samples, 0.6)
+    assert found.status == "rounding"
+    assert found.lower <= known.upper
+    assert found.upper >= known.lower > 0.0
+
+
 def test_what_no_window_shows_counts_as_zero():
     still = TimeVaryingPlant.from_table([0.0, 20.0], [J] * 2, [C] * 2)
     few = sd.window_sigma(still, SAMPLES, 1.0)
@@ -171,6 +182,9 @@ def test_bad_arguments_are_refused():
         sd.window_sigma(SWING, sd.Schedule([0.0, 11.0]), 4.0)
     with pytest.raises(ArgumentError, match="`rtol` must be less than 1, got 2"):
         sd.window_sigma(SWING, SAMPLES, 4.0, rtol=2.0)
+    apart = TimeVaryingPlant.from_table([0.0, 1.0], [[[0.0, 1.2e3], [0.0, 0.0]]] * 2, [[[1.0, 0.0]]] * 2)
+    with pytest.raises(SolverError, match=r"its error is bounded by .*e\+1.. only. Are states in units far"):
+        apart.transitions([0.0, 0.5])
     huge = TimeVaryingPlant.from_table([0.0, 1.0], [[[1e9]]] * 2, [[[1.0]]] * 2)
     with pytest.raises(SolverError, match=r"comes to a stop at t = 0: \|A\| reaches 1e\+09 there"):
         sd.window_sigma(huge, sd.Schedule([0.0, 1.0]), 1.0)

@@ -17,6 +17,7 @@ Of functions each sample is early, late or on time, whichever shows the least se
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -26,6 +27,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.balancing import balance
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.bracket import WindowBracket
@@ -115,7 +117,7 @@ class VaryingSearch:
         if lost.any() and len(O) >= n:
             size = float(np.abs(O).max()) or 1.0
             O = size * rows_without(O[None] / size, lost[None] / size**2)[0]
-        return self._node(start, O, float(np.linalg.norm(wrong) + np.linalg.norm(unsure)))
+        return self._node(start, O, math.hypot(*wrong) + math.hypot(*unsure))  # whose squares may overflow
 
     def worst_times(self, start: float, samples: Array, mask: Mask | None) -> Array:
         """Real times of samples at which the window from `start` on was found to see little; nothing is proven."""
@@ -191,7 +193,10 @@ def bracket_varying(
     status, most = "closed", MOST_PROVEN if plant.tabled else MOST_SAMPLED
     for _ in range(most):
         if best.sigma <= best.off:
-            return _bracket(search, nodes, g, best._replace(sigma=0.0), np.zeros(len(pieces)), "below rounding")
+            if hidden(search, best):
+                return _bracket(search, nodes, g, best._replace(sigma=0.0), np.zeros(len(pieces)), "below rounding")
+            status = "rounding"  # of the transitions' own bound, which is no smallness of sigma
+            break
         if not heap or heap[0][0] >= (1 - rtol) * best.sigma:
             break
         if clock.over:
@@ -230,6 +235,13 @@ def _first(search: VaryingSearch, g: int) -> list[_EvaluatedStart]:
     return own[::-1]
 
 
+def hidden(search: VaryingSearch, start: _EvaluatedStart) -> bool:
+    """Whether rows leave a direction out but for rounding, in the given and in balanced states."""
+    unit = search.plant.states.scales
+    d = balance(np.asarray(search.plant.A(start.at), dtype=float) * unit / unit[:, None]).d
+    return all(s[-1] <= HIDDEN * s[0] for s in (np.linalg.svd(start.rows * by, compute_uv=False) for by in (1.0, d)))
+
+
 def _bracket(
     search: VaryingSearch, nodes: list[list[_EvaluatedStart]], g: int, best: _EvaluatedStart, floors: Array, status: str
 ) -> WindowBracket:
@@ -240,7 +252,7 @@ def _bracket(
     return WindowBracket(
         lower=min(float(floors.min()), best.sigma),
         status=status,
-        witness=pieces.witness(g, best.at, direction, best.sigma),
+        witness=pieces.witness(g, best.at, direction, best.sigma + (best.off if best.sigma > 0 else 0.0)),
         pieces=pieces,
         nodes=np.array([node.at for own in every for node in own]),
         sigma=np.array([node.sigma for own in every for node in own]),
@@ -249,6 +261,7 @@ def _bracket(
     )
 
 
+HIDDEN = 1e-9  # singular value of rows, over the largest, up to which it is what integration rounds
 RTOL = 0.01  # default width of the bracket, relative
 ROUGH = 1.0  # of what is beside it where nothing is proven: no interval is halved
 

@@ -25,6 +25,7 @@ from sampling_design.records.units import check_time_unit
 TERMS = 22  # of each Taylor series
 LENGTH = 0.5  # |A| times a step at most
 MOST_STEPS = 200_000  # over one gap; what asks for more cannot be followed in doubles
+LARGEST_ERROR = 1e100  # of a transition: it says nothing, and the squares of what comes of it are still numbers
 EPS = float(np.finfo(float).eps)
 
 
@@ -84,6 +85,11 @@ def table_flow(
             own += 2 * EPS * abs(q) * size * np.exp(size * h)  # the ends of the step are rounded, too
             before, reach = length_of(F), length_of(step)
             error = reach * error + own * (before + error) + 2 * n * n * EPS * reach * before
+            if not error < LARGEST_ERROR:
+                raise SolverError(
+                    f"the integration comes to a stop at t = {p + (k + 1) * h:.6g}: its error is bounded by {error:.3g}"
+                    " only. Are states in units far apart? Give their scales.", status="integration failed",
+                )  # fmt: skip
             F, W = step @ F, propagate(W, step, added)
     return F, W, error
 

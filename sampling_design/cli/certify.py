@@ -146,10 +146,9 @@ def certify(
         notes.append(_about_the_plan(planned))
     if (folder := settings.folder()) is not None:
         _write(settings, folder, certificate, compared)
-        made, where = folder / "certificate.json", shell_word(folder)
-        notes.append(f"Next: sampling-design verify {shell_word(made)}")
-        asked = f"{shell_word(plant_file)} MEASUREMENTS.csv --certificate {shell_word(made)} -o {where}"
-        notes.append(f"Next: sampling-design estimate {asked}")
+        made = shell_word(folder / "certificate.json")
+        asked = f"{shell_word(plant_file)} MEASUREMENTS.csv --certificate {made} -o {shell_word(folder)}"
+        notes += [f"Next: sampling-design verify {made}", f"Next: sampling-design estimate {asked}"]
     settings.show(certificate.to_dict(), record_table(certificate), *notes)
 
 

@@ -11,6 +11,7 @@ from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.gains import path_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sampled_system import (
+    EXACT,
     MeasurementModel,
     SampledSystem,
     balanced_flows,
@@ -47,7 +48,8 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     known = np.linalg.norm(initial.rows * balance, axis=0)  # what nothing drives shows what the start does to it
     begun = np.divide(1.0, known, out=np.zeros_like(known), where=known > 0)
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W if W.any() else np.diag(begun**2)[None])
-    D = _scales(F, W, rows, known, initial.exact)
+    shown = [H * np.where(own, EXACT, 1.0)[:, None] for H, own in zip(rows, exact, strict=True)]
+    D = _scales(F, W, rows, known, initial.exact, shown)
     (A, F), G, W, rows = (M * D / D[:, None] for M in (A, F)), G / D[:, None], W / np.outer(D, D), [H * D for H in rows]
     D = balance * D
     root = covariance_root(start_covariance(initial, D))
@@ -76,10 +78,11 @@ def coordinate_root(root: Array) -> Array:
     return np.asarray(np.where(np.abs(made) > ROUNDED * size[:, None], made, np.diag(np.diag(made))))
 
 
-def _scales(F: Array, W: Array, rows: list[Array], known: Array, exact: Mask) -> Array:
+def _scales(F: Array, W: Array, rows: list[Array], known: Array, exact: Mask, shown: list[Array]) -> Array:
     """Diagonal D: between what w reaches and what samples see, else what is `known` at the start (0: nothing).
 
-    Of what is known exactly and nothing drives: what others bring into it.
+    Of what is known exactly and nothing drives: what others bring into it. Of what is unknown and undriven beside what
+    is known: what is `shown`, exact sensors like the rest, since a millionth of that would set states far apart.
     """
     pairs = min(len(F), len(rows))
     D = state_scales(F[:pairs], W[:pairs], rows[:pairs])
@@ -87,6 +90,7 @@ def _scales(F: Array, W: Array, rows: list[Array], known: Array, exact: Mask) ->
         return D
     driven = np.any(W != 0, axis=(0, 2))
     size = 1 / np.where(known > 0, known, 1.0)
+    D = np.where((known == 0) & ~driven, state_scales(F[:pairs], W[:pairs], shown[:pairs]), D)
     # what a sample shows only after it has decayed is known far better from the start and from w
     D = np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
     brought = np.abs(F).max(axis=0) @ np.where(exact, 0.0, D)

@@ -46,15 +46,18 @@ def followed_back(
     bounds on |z| after the samples before, the one at which so little was left that it went no farther back.
     """
     total, g, scale, reach = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0), None
+    free = np.zeros((len(mu), 0)) if system.start is None or nodes[0] else system.start.free()
     propagated: dict[int, tuple[GapDynamics, list[Array]]] = {}  # one integral for a gap that comes many times
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = system.samples[nodes[k]], gains_at(k, g)
         total += noise_cost(lam, sample.exact, system.bounds.v_ball)
         step = sample.H.T @ lam
         scale += np.linalg.norm(step, axis=0)
-        g = g - step
+        terms, g = np.abs(g) + np.abs(step), g - step
         if k:
             gap = system.gap(nodes[k - 1])
+            if k == 1 and free.shape[1]:  # what rounding leaves of a difference is as large as the first gap makes it
+                scale += np.linalg.svd(terms.T[:, :, None] * (gap.F @ free), compute_uv=False).min(axis=1)
             propagated.setdefault(id(gap), (gap, []))[1].append(g)
             g = gap.F.T @ g
             if known is not None and np.abs(g).sum(axis=0).max(initial=0.0) <= LEFT:

@@ -293,3 +293,16 @@ def test_what_is_known_exactly_and_moved_by_others_costs_no_digits():
 def test_what_is_free_and_points_one_way_is_undecided(free):
     with pytest.raises(UndecidedError, match="undecided"):
         finite._determined(np.array(free), [np.zeros((1, 2))])
+
+
+@pytest.mark.parametrize("noise", [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+@pytest.mark.parametrize("initial", [None, [np.inf, 1.0], {"x1": 1.0}, [[1.0, 0.2], [0.2, 0.04]], 1.0])
+def test_what_exact_sensors_show_twice_is_known_whatever_the_start(initial, noise):
+    """Two exact outputs of two states that nothing drives: from the first sample on nothing is left but rounding."""
+    A, C = [[0.7, -0.4], [0.9, 0.5]], [[1.0, 0.3], [-0.4, 0.8], [0.5, 1.1]]
+    plant, times = sd.Plant(A, C, G=[[1.0], [0.0]]), np.array([0.7, 1.2, 1.6, 2.5])
+    known = {"initial_error": initial, "start": 0.5, "rtol": 0.05}
+    found = sd.guaranteed_accuracy(plant, sd.Schedule(times), w_bound=0.0, v_bound=noise, **known)
+    late = found.profile.edges[:-1] >= times[1] - 1e-9
+    assert np.all(found.profile.upper[:, late] <= 1e-5)
+    assert np.all(found.upper[np.isfinite(found.upper)] <= 10.0)

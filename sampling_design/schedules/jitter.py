@@ -46,6 +46,14 @@ Timing: TypeAlias = EarlyLate | Mapping[str, EarlyLate]
 """How early or late samples may be: one time, a pair (early, late), or either by output; text has a unit."""
 
 
+def deviation_cells(memory: int) -> int:
+    """Return how many cells of a sample's deviation a level of memory tells apart; ArgumentError if there is none."""
+    most = len(DEVIATION_CELLS) - 1
+    if not 0 <= checks.whole("memory", memory) <= most:
+        raise ArgumentError(f"`memory` must be a whole number from 0 to {most}, got {memory!r}.")
+    return DEVIATION_CELLS[memory]
+
+
 @dataclass(frozen=True)
 class TimingTolerance:
     """How early and how late each sample may be: a planned t is a real time in [t - early, t + late].
@@ -369,7 +377,7 @@ class Jitter(NominalFamily, kind="jitter"):
     def steps(self, memory: int, outputs: int) -> Steps:
         """Words are the phase, and lower and upper end of the last deviation."""
         schedule, radius = period_of(self.schedule), self.timing_tolerance
-        masks, reach, cells = masks_of(schedule, outputs), reach_of(schedule), DEVIATION_CELLS[memory]
+        masks, reach, cells = masks_of(schedule, outputs), reach_of(schedule), deviation_cells(memory)
         borders = np.linspace(-radius, radius, cells + 1).tolist() if radius else [0.0, 0.0]
 
         def steps(word: Word) -> list[FamilyStep]:

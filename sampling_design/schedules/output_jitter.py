@@ -31,7 +31,15 @@ from sampling_design.schedules.family import (
     pick,
     reach_of,
 )
-from sampling_design.schedules.jitter import DEVIATION_CELLS, Jitter, TimingTolerance, begun_late, moved, nominal_part
+from sampling_design.schedules.jitter import (
+    DEVIATION_CELLS,
+    Jitter,
+    TimingTolerance,
+    begun_late,
+    deviation_cells,
+    moved,
+    nominal_part,
+)
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -165,7 +173,7 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
 
     def steps(self, memory: int, outputs: int) -> Steps:
         """Words are the phase, lower and upper end of the last deviation, and the outputs that are yet to be read."""
-        schedule, cells = period_of(self.schedule), DEVIATION_CELLS[memory]
+        schedule, cells = period_of(self.schedule), deviation_cells(memory)
         read = [tuple(i for i, on in enumerate(row) if on) for row in masks_of(schedule, outputs)]
         reach, early, late = reach_of(schedule), self.early.tolist(), self.late.tolist()
         rounding = OUTWARD * (max(early) + max(late))

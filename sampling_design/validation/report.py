@@ -8,7 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
 from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, below, markdown_table, short
@@ -61,6 +63,11 @@ class ClaimCheck(YesOrNo):
     }
 
     def __post_init__(self) -> None:
+        for key in ("predicted", "observed"):
+            value = checks.floats(key, getattr(self, key))  # infinite, or no number, where they left doubles
+            if value.ndim:
+                raise ArgumentError(f"`{key}` must be one number, got shape {value.shape}.")
+            self._hold(**{key: float(value)})
         if self.checked and np.isnan(self.observed):
             note = f"What was observed is beyond all numbers. {self.note}".rstrip()
             self.__dict__.update(checked=False, note=note)

@@ -180,6 +180,13 @@ def test_jitter_follows_sample_by_sample():
         Jitter(long[0], 0.1).contains(long[1])
 
 
+@pytest.mark.parametrize("level", [-1, 4, 10**300])
+def test_a_level_of_memory_that_there_is_not_is_refused(level):
+    for family in (Jitter(PeriodicSchedule([1.0]), 0.1), OutputJitter(PeriodicSchedule([1.0]), [0.1], [0.2])):
+        with pytest.raises(ArgumentError, match="`memory` must be "):
+            family.steps(level, 1)
+
+
 def test_each_output_is_held_against_its_own_times():
     family = OutputJitter(PeriodicSchedule([1.0], first=0.5), [0.0, 0.1], [0.2, 0.1])
     a, b = [1, 0], [0, 1]

@@ -118,6 +118,7 @@ def test_files_of_other_kinds_are_refused(tmp_path):
         (lambda: UncertainPlant(OSCILLATOR, [STIFFNESS]).at([2.0]), "`values` must lie in the ranges"),
         (lambda: UncertainPlant(OSCILLATOR, vertices=[OSCILLATOR] * 2).at([1.0, 1.0]), "must be shares that sum to 1"),
         (lambda: UncertainPlant(OSCILLATOR, [STIFFNESS]).within([0.5], [1.0]), "must be ranges inside those"),
+        (lambda: UncertainPlant(OSCILLATOR, [STIFFNESS]).moves("nosuch"), "`key` must be "),
         (lambda: UncertainPlant.from_intervals(([[1.0]], [[0.0]]), [[1.0]]), "lower entries at most the upper ones"),
     ],
 )

@@ -142,6 +142,8 @@ def test_checks_know_their_margin():
     least = ClaimCheck("a", "b", 1.0, 0.9, "at least")
     assert (round(least.margin, 12), least.passed) == (-0.1, False)
     assert ClaimCheck("a", "b", 0.0, 0.0).passed
+    with pytest.raises(ArgumentError, match="`observed` must be one number, got shape"):
+        ClaimCheck("a", "b", 1.0, [np.inf, 0.0])
     assert ClaimCheck("a", "b", 1.0, 1.0 + 1e-9).passed
     assert not ClaimCheck("a", "b", 1.0, 1.0 + 1e-7).passed
     assert "was broken" in least.explain()

@@ -186,6 +186,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
 
     def moves(self, key: str) -> list[Array]:
         """Return what one unit of each parameter adds to "A", "C" or "G": zeros where it adds nothing."""
+        key = checks.word("key", key, _MOVED)
         nothing = np.zeros(getattr(self.nominal, key).shape)
         return [nothing if (M := getattr(each, key)) is None else M for each in self.parameters]
 

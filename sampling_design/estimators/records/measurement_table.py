@@ -28,6 +28,7 @@ SINCE = "_since"  # ending of the column that says where a composite sample of a
 UNTIL = "_until"  # ending of the column that says until when a row may have been measured
 LIMITS = {"<": "<", "≤": "<", ">": ">", "≥": ">"}  # signs before a limit of detection, and what they say
 BLOCK = 4096  # lines that are held as text at a time; what they say is held as numbers
+_MANY = -1  # stands for the line where the dates of many rows are read at once
 LONGEST_LINE = 100_000  # Characters; a longer line is read by itself, where a cell beyond all measure is refused
 
 
@@ -252,7 +253,7 @@ class MeasurementTable:
         except ValueError:
             return None
         try:
-            return np.array([self.clock.since(0, "", date) for date in dates])
+            return np.array([self.clock.since(_MANY, "", date) for date in dates])
         except FileFormatError:
             return None  # said again with its line
 
@@ -433,7 +434,8 @@ def _day(cell: str) -> date | None:
 
 
 def _place(where: str, line: int) -> str:
-    return f"in {row_name(where, line)}" if line else "given as origin"
+    named = {0: "given as origin", _MANY: "of the first row"}  # the first of many is the one that others differ from
+    return named.get(line) or f"in {row_name(where, line)}"
 
 
 def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> datetime:

@@ -107,6 +107,7 @@ def test_more_samples_average_the_noise():
         ({"w_intensity": [-1.0, 0.0]}, "`w_intensity` must not be negative"),
         ({"w_intensity": [[1.0, 2.0], [2.0, 1.0]]}, "`w_intensity` must be positive semidefinite"),
         ({"v_deviation": [-1.0]}, "`v_deviation` must not be negative"),
+        ({"v_deviation": np.full((len(SCHEDULE.times), 1), -1.0)}, "`v_deviation` must not be negative"),
         ({"start": 0.0}, "`start` is for finite schedules"),
     ],
 )

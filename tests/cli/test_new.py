@@ -7,6 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.new import PlantModes, flat
+from sampling_design.cli.options import numbers
 from sampling_design.cli.requirement_flags import (
     RequirementFlags,
     by_name,
@@ -282,6 +283,8 @@ def test_what_the_flags_refuse(tmp_path, monkeypatch):
     for text in ("one", "0.1, 0.2", "blood=1, blood=2", "blood=1, 2", "-1", "nan"):
         with pytest.raises(ArgumentError, match="must be a number, or blood=NUMBER with commas between"):
             by_name("--noise", text, ("blood", "urine"), ("blood",))
+    with pytest.raises(ArgumentError, match="`--v-bound` is missing for urine: give a number, 0 for none"):
+        numbers("--v-bound", "blood=1", ("blood", "urine"))
     with pytest.raises(ArgumentError, match="closes every day: a period of"):
         requirement(RequirementFlags(open_hours="7-19"), "h", 24.0 * 500)
     from sampling_design.cli.new import PlantModes, new

@@ -346,6 +346,20 @@ def test_a_parameter_that_is_known_changes_no_accuracy_in_whatever_unit():
     assert found[1].lower == pytest.approx(found[0].lower, rel=1e-9)
 
 
+@pytest.mark.parametrize("absent", [{}, {"w_bound": []}])
+def test_accuracy_over_a_box_around_a_plant_at_rest_that_nothing_drives(absent):
+    """x2 is what a sensor of a gain 1 + b/2 with |v| <= .1 leaves: .1/.95 at b = -.1."""
+    still = Plant(np.zeros((2, 2)), np.eye(2), G=np.zeros((2, 0)))
+    known = UncertainParameter("a", 0.0, 0.0, A=1e10 * np.eye(2, k=1))
+    gain = UncertainParameter("b", -0.1, 0.1, C=0.5 * np.eye(2))
+    found = guaranteed_accuracy(
+        UncertainPlant(still, [known, gain]), PeriodicSchedule([1.0]), v_bound=[0.1, 0.1], **absent
+    )
+    assert found.lower[1] <= 0.1 / 0.95 * (1 + 1e-12)
+    assert found.upper[1] >= 0.1 / 0.95
+    assert found.upper[1] <= 1.01 * found.lower[1]
+
+
 def test_accuracy_that_cannot_be_bounded_says_so(monkeypatch):
     def one(plant, schedule, *, of, **others):
         return SimpleNamespace(lower=np.zeros(len(of)), upper=np.full(len(of), np.inf))

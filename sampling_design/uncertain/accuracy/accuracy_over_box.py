@@ -235,17 +235,19 @@ def moved(plant: UncertainPlant, half: Array, key: str) -> list[Array]:
 
 
 def _weights(plant: UncertainPlant) -> Array:
-    """How much a parameter's unit moves, relative to the nominal matrices."""
+    """How much a parameter's unit moves, relative to the nominal matrices, or to what moves more where these are 0."""
     found = np.zeros(len(plant.parameters))
     for key in ("A", "C", "G"):
-        M = np.abs(getattr(plant.nominal, key))
-        size = max(float(np.linalg.norm(M)), 1e-300)
-        found += [float(np.linalg.norm(each)) / size for each in plant.moves(key)]
+        sizes = np.array([np.linalg.norm(each) for each in plant.moves(key)])
+        size = float(np.linalg.norm(getattr(plant.nominal, key))) or sizes.max(initial=0.0)
+        found += sizes / size if size > 0 else 0.0
     return found
 
 
 def _entries(name: str, value: Bound, names: tuple[str, ...]) -> Array:
     """A bound for each entry; one number only where there is one entry."""
+    if value is None and not names:
+        return np.zeros(0)
     if value is not None and not callable(value):
         found = vector_bound(name, value, names)
         if found.ndim or len(names) == 1:

@@ -25,10 +25,11 @@ def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> A
     or is a pair that is not about 0.
     """
     if is_table(value):
-        half, centre = named_bounds(argument, value, names)
+        given = {str(key): entry for key, entry in value.items()}
+        half, centre = named_bounds(argument, given, names)
         if centre.any():
             name = names[int(np.argmax(centre != 0))]
-            raise ArgumentError(f"`{argument}[{name!r}]` must be a number or a pair about 0 here, got {value[name]!r}.")
+            raise ArgumentError(f"`{argument}[{name!r}]` must be a number or a pair about 0 here, got {given[name]!r}.")
         if np.isinf(half).any():
             lost = [name for name, size in zip(names, half, strict=True) if np.isinf(size)]
             raise ArgumentError(f"`{argument}` is missing for {', '.join(lost)}: give a number, 0 for none.")
@@ -49,7 +50,7 @@ def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, .
     checks.known_keys(f"`{argument}`", [str(key) for key in value], names)
     half, centre = np.full(len(names), np.inf), np.zeros(len(names))
     for name, entry in value.items():
-        at = names.index(name)
+        at = names.index(str(name))
         half[at], centre[at] = half_and_centre(f"{argument}[{name!r}]", entry)
     return half, centre
 

@@ -84,3 +84,12 @@ def test_a_name_that_is_left_out_and_an_interval_that_is_not_about_0_are_refused
         ArgumentError, match=r"`v_bound\['meter'\]` must be a number or a pair about 0 here, got \(0, 1\)"
     ):
         sd.KalmanFilter(PLANT, **DICTS | {"v_bound": {"gauge": 0.3, "meter": (0, 1)}})
+
+
+def test_a_name_that_is_a_number_may_be_typed_as_one():
+    plant = sd.Plant([[-0.5]], [[1.0]], G=[[1.0]], disturbances=["1"])
+    bounds = {"v_bound": 0.1, "initial_error": 1.0}
+    made = sd.KalmanFilter(plant, w_bound={1: 0.2}, **bounds)
+    np.testing.assert_array_equal(made.loop.bounds.w, [0.2])
+    with pytest.raises(ArgumentError, match=r"`w_bound\['1'\]` must be a number or a pair about 0 here, got \(0, 1\)"):
+        sd.KalmanFilter(plant, w_bound={1: (0, 1)}, **bounds)

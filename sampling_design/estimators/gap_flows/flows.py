@@ -156,7 +156,7 @@ class GapFlow:
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric, with what rounding may hide of it."""
         moved = self._carried(Y)
-        return without_lost((moved + moved.T) / 2)
+        return inflated((moved + moved.T) / 2)
 
     def _carried(self, Y: Array) -> Array:
         moved: Array = self.F.dot(Y).dot(self.F.T)
@@ -282,7 +282,7 @@ def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
     return gap if eta == 0 else -np.expm1(-eta * gap) / eta
 
 
-def without_lost(Y: Array) -> Array:
+def inflated(Y: Array) -> Array:
     """Return a covariance that is no smaller than the exact one: `PROPAGATED` times n of its diagonal is added to it.
 
     In place. A direction in which Y's digits are lost is then known to 1e-7 of the rest, not to 0 or less.

@@ -10,7 +10,7 @@ from scipy.linalg import lapack
 
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
-from sampling_design.estimators.gap_flows.flows import PROPAGATED, GapFlow, without_lost
+from sampling_design.estimators.gap_flows.flows import PROPAGATED, GapFlow, inflated
 from sampling_design.estimators.online.estimate import Contradiction, Status
 from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.numerics.filtering import floored
@@ -24,7 +24,7 @@ SHARE_HELD = 1e-3
 """Share of a bound that is added to it for entries that it leaves less than their rounding: a larger one widens them
 less, and all others more."""
 
-LOST = 1e-6
+INFLATED_BEYOND = 1e-6
 """Share of a radius that rounding of its covariance may cost; beyond it the covariance grows instead."""
 
 EXACT_DATA = 1e-13
@@ -122,8 +122,8 @@ def represented(
     """
     wider, size, bound = held_entries(Y, size, bound)
     held, condition = in_units_of(wider, size, precision if wider is Y else None)
-    if PROPAGATED * condition > LOST:
-        wider, condition = without_lost(wider.copy()), 0.0
+    if PROPAGATED * condition > INFLATED_BEYOND:
+        wider, condition = inflated(wider.copy()), 0.0
         held, _ = in_units_of(wider, size)
     return wider, bound * (1 + PROPAGATED * condition) + moved(bound, held), held
 

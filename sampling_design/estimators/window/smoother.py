@@ -26,7 +26,7 @@ from sampling_design.numerics.filtering import inverse_of_unit_rows, root_update
 from sampling_design.records.arrays import Array
 
 VANISHED = float(np.sqrt(np.finfo(float).tiny))  # a root below it has no square
-HIDDEN_STEP = 1e-8
+ROUNDING_NOISE = 1e-8
 """Deviation of what stands for a gap's rounding, of the size of its terms: the root of eps, half the digits."""
 
 HIDDEN = 1e-14  # share of a column below which what others leave of it is rounding
@@ -41,8 +41,8 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     [[S_j'F', S_j'], [root', 0]] = Q [[P', K], [0, D']]: P is the predicted root, (P^-T K)' = G_j the smoother's
     gain, D the root of what x_{j+1} leaves unknown of x_j. A sample does the same with [[I, 0], [S'C', S']].
 
-    *Numerical aspects.* Rounding over a gap is a disturbance of its own, entry by entry: of deviation `HIDDEN_STEP`
-    times that of the terms of F S_j, of which the truth, to follow a rounding by e, needs n (e / HIDDEN_STEP)^2 of
+    *Numerical aspects.* Rounding over a gap is a disturbance of its own, entry by entry: of deviation `ROUNDING_NOISE`
+    times that of the terms of F S_j, of which the truth, to follow a rounding by e, needs n (e / ROUNDING_NOISE)^2 of
     its cost; and of the size of states and inputs, such that it costs `SHARE_HELD` of a bound in all (`held`).
     """
     n, count = window.reference.shape[1], window.times.size
@@ -66,7 +66,7 @@ def solve_square_root(window: EstimationWindow) -> WindowEstimate:
         stacked = np.zeros((2 * n + max(n, width), 2 * n))
         stacked[:n, :n], stacked[:n, n:] = root.T @ flow.F.T, root.T
         stacked[n : n + width, :n] = flow.root.T / scale[j + 1]
-        stacked[-n:, :n] = np.diag(np.hypot(HIDDEN_STEP * np.sqrt(np.einsum("ik,ik->i", moved, moved)), rounding))
+        stacked[-n:, :n] = np.diag(np.hypot(ROUNDING_NOISE * np.sqrt(np.einsum("ik,ik->i", moved, moved)), rounding))
         root, gains[j], roots[j] = _passed(stacked, n)
         mean = flow.F @ mean + window.defect[j]
     roots[-1] = root

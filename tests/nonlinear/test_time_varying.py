@@ -18,16 +18,12 @@ TIMES = np.array([0.0, 0.4, 1.7, 3.0])
 
 
 def test_transitions_are_those_of_the_matrix_exponential():
-    motion = FIXED.transitions(TIMES, [0.5])
-    for k, h in enumerate(np.diff(TIMES)):
-        both = expm(h * np.block([[-A, 0.25 * G @ G.T], [np.zeros((2, 2)), A.T]]))  # Van Loan
-        np.testing.assert_allclose(motion.F[k], both[2:, 2:].T, rtol=1e-7)
-        np.testing.assert_allclose(motion.W[k], both[2:, 2:].T @ both[:2, 2:], rtol=1e-6, atol=1e-9)
+    motion = FIXED.transitions(TIMES)
+    np.testing.assert_allclose(motion.F, [expm(h * A) for h in np.diff(TIMES)], rtol=1e-7)
     assert motion.error < 1e-7
     # a scalar with a closed form: x' = cos(t) x
     wave = TimeVaryingPlant(lambda t: [[np.cos(t)]], lambda t: [[1.0]], horizon=9.0)
     assert wave.transitions([0.0, 7.0]).F[0, 0, 0] == pytest.approx(np.exp(np.sin(7.0)), rel=1e-7)
-    assert wave.transitions([0.0, 7.0]).W[0, 0, 0] == 0.0
 
 
 def test_tables_run_straight_and_units_change_no_transition():
@@ -44,8 +40,8 @@ def test_tables_run_straight_and_units_change_no_transition():
 def test_along_a_linear_plant_it_is_the_plant_itself():
     linear = from_linear(sd.Plant(A, C, G=G))
     along = plant_along(linear, [1.0, -1.0], 3.0)
-    np.testing.assert_allclose(along.transitions(TIMES, [0.5]).F, FIXED.transitions(TIMES, [0.5]).F, rtol=1e-8)
-    np.testing.assert_allclose(along.transitions(TIMES, [0.5]).W, FIXED.transitions(TIMES, [0.5]).W, rtol=1e-8)
+    np.testing.assert_allclose(along.transitions(TIMES).F, FIXED.transitions(TIMES).F, rtol=1e-8)
+    np.testing.assert_allclose(along.G(1.0), G)
     assert "2 states, 1 output, over 3 s" in along.explain()
     assert "horizon" in str(along)
 

@@ -14,8 +14,6 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.numerics.filtering import propagate
-from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -51,18 +49,16 @@ class MatrixTable:
         return [a, *inner.tolist(), b]
 
 
-def table_flow(
-    A: MatrixTable, G: MatrixTable | None, spread: Array | None, a: float, b: float
-) -> tuple[Array, Array, float]:
-    """Transition and added covariance over [a, b], and a proven bound of the transition's error (spectral norm).
+def table_flow(A: MatrixTable, a: float, b: float) -> tuple[Array, float]:
+    """Transition over [a, b], and a proven bound of its error (spectral norm).
 
-    On a straight piece A_0 + A_1 s the coefficients of the flow obey (k + 1) F_{k+1} = A_0 F_k + A_1 F_{k-1}, those of
-    the covariance (k + 1) W_{k+1} = sym(A_0 W_k + A_1 W_{k-1}) + Q_k. With norms in place of matrices the first
-    recursion majorises itself, which bounds the terms left out; each product of matrices rounds by at most (n + 2) eps
-    of its factors' norms. Raises SolverError if the matrices are so large that the steps do not come to an end.
+    On a straight piece A_0 + A_1 s its coefficients obey (k + 1) F_{k+1} = A_0 F_k + A_1 F_{k-1}. With norms in place
+    of matrices the recursion majorises itself, which bounds the terms left out; each product of matrices rounds by at
+    most (n + 2) eps of its factors' norms. Raises SolverError if the matrices are so large that the steps do not come
+    to an end.
     """
     n = A.stack.shape[1]
-    F, W, error = np.eye(n), np.zeros((n, n)), 0.0
+    F, error = np.eye(n), 0.0
     ends = A.knots(a, b)
     for p, q in pairwise(ends):
         low, high = A(p), A(q)
@@ -74,14 +70,8 @@ def table_flow(
                 status="integration failed",
             )
         h, slope = (q - p) / count, (high - low) / (q - p)
-        first, last = (None, None) if G is None else (G(p), G(q))
         for k in range(count):
-            start = low + (high - low) * (k / count)
-            noise = np.zeros((3, n, n))
-            if first is not None and last is not None and spread is not None:
-                g = (first + (last - first) * (k / count)) * np.sqrt(spread), (last - first) / (q - p) * np.sqrt(spread)
-                noise = np.array([g[0] @ g[0].T, g[0] @ g[1].T + g[1] @ g[0].T, g[1] @ g[1].T])
-            step, added, own = _series(start, slope, noise, h)
+            step, own = _series(low + (high - low) * (k / count), slope, h)
             own += 2 * EPS * abs(q) * size * np.exp(size * h)  # the ends of the step are rounded, too
             before, reach = length_of(F), length_of(step)
             error = reach * error + own * (before + error) + 2 * n * n * EPS * reach * before
@@ -90,8 +80,8 @@ def table_flow(
                     f"the integration comes to a stop at t = {p + (k + 1) * h:.6g}: its error is bounded by {error:.3g}"
                     " only. Are states in units far apart? Give their scales.", status="integration failed",
                 )  # fmt: skip
-            F, W = step @ F, propagate(W, step, added)
-    return F, W, error
+            F = step @ F
+    return F, error
 
 
 def length_of(matrix: Array) -> float:
@@ -99,24 +89,20 @@ def length_of(matrix: Array) -> float:
     return float(np.linalg.norm(matrix, 2) * (1 + 8 * max(matrix.shape) * EPS))
 
 
-def _series(A: Array, slope: Array, noise: Array, h: float) -> tuple[Array, Array, float]:
-    """Flow and covariance over a step of a straight piece, and the bound of the flow's error."""
+def _series(A: Array, slope: Array, h: float) -> tuple[Array, float]:
+    """Flow over a step of a straight piece, and the bound of its error."""
     n = len(A)
     A, slope = A * h, slope * h**2
     sizes = float(np.linalg.norm(A)), float(np.linalg.norm(slope))
-    forced = noise * h ** np.arange(1, 4)[:, None, None]
     term, before = np.eye(n), np.zeros((n, n))
-    grown, earlier = np.zeros((n, n)), np.zeros((n, n))
     bound, behind = float(np.sqrt(n)), 0.0
-    F, W, whole = term, np.zeros((n, n)), bound
+    F, whole = term, bound
     for k in range(TERMS):
         term, before = (A @ term + slope @ before) / (k + 1), term
-        half = A @ grown + slope @ earlier
-        grown, earlier = (half + half.T + (forced[k] if k < 3 else 0.0)) / (k + 1), grown
         bound, behind = (sizes[0] * bound + sizes[1] * behind) / (k + 1), bound
-        F, W, whole = F + term, W + grown, whole + bound
+        F, whole = F + term, whole + bound
     left_out = 2 * max(bound, behind)  # later terms fall by more than a half each: |A| + |A'| < TERMS / 2
-    return F, W, left_out + (TERMS * (n + 6) + 16) * EPS * whole
+    return F, left_out + (TERMS * (n + 6) + 16) * EPS * whole
 
 
 MatrixOfTime = Callable[[float], npt.ArrayLike]
@@ -162,13 +148,11 @@ def integrated(
 class TransitionTable(NamedTuple):
     """What a plant does between increasing times, scaled.
 
-    F (K-1, n, n) and W (K-1, n, n) carry a state, and what white noise on w adds, over each gap; C (K, p, n) at the
-    times. errors (K-1,) : how far each F is off at most in the spectral norm; `proven` of tables, else an estimate,
-    its change at a hundredth of the tolerance.
+    F (K-1, n, n) carries a state over each gap; C (K, p, n) at the times. errors (K-1,) : how far each F is off at
+    most in the spectral norm; `proven` of tables, else an estimate, its change at a hundredth of the tolerance.
     """
 
     F: Array
-    W: Array
     C: Array
     errors: Array
     proven: bool
@@ -288,14 +272,12 @@ class TimeVaryingPlant(Record):
         return Plant(A, C, G=G, time_unit=self.time_unit, states=self.states, outputs=self.outputs,
                      disturbances=self.disturbances, name=self.name)  # fmt: skip
 
-    def transitions(self, times: npt.ArrayLike, w_spread: npt.ArrayLike | None = None) -> TransitionTable:
+    def transitions(self, times: npt.ArrayLike) -> TransitionTable:
         """Return the transitions between increasing times in [0, horizon].
 
         Parameters
         ----------
         times : (K,) array [time]
-        w_spread : (q,) array, optional
-            Square roots of the intensities of white noise on w; default none.
 
         Raises
         ------
@@ -307,31 +289,26 @@ class TimeVaryingPlant(Record):
         Notes
         -----
         *Claim.* Of a table `errors` are proven, truncation and rounding counted; of functions they are an estimate.
-        *Method.* Phi' = A Phi and W' = A W + W A' + G S G': of tables by Taylor series on each straight piece, of
-        functions by LSODA to 1e-9, and once more to 1e-11.
+        *Method.* Phi' = A Phi: of tables by Taylor series on each straight piece, of functions by LSODA to 1e-9, and
+        once more to 1e-11.
         """
         grid = checks.increasing("times", times)
         if not grid.size or grid[-1] > self.horizon * (1 + 1e-12):
             raise ArgumentError(f"`times` must lie in [0, {self.horizon:.6g}], one at least.")
-        spread = None if w_spread is None or self.G is None else checks.vector("w_spread", w_spread, None) ** 2
         n, unit = self.n_states, self.states.scales
         outputs = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()]) * unit
         outputs = outputs / self.outputs.scales[:, None]
         if isinstance(self.A, MatrixTable):
             own = self.A.in_units(unit, unit)
-            driven = self.G.in_units(unit, np.ones(len(self.disturbances))) if isinstance(self.G, MatrixTable) else None
-            gaps = zip(grid[:-1].tolist(), grid[1:].tolist(), strict=True)
-            found = [table_flow(own, None if spread is None else driven, spread, a, b) for a, b in gaps]
-            F, W = (np.array([part[k] for part in found]).reshape(-1, n, n) for k in (0, 1))
-            return TransitionTable(F, W, outputs, np.array([part[2] for part in found]), True)
-        coarse, fine = (self._flow_along(grid, spread, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
-        errors = np.linalg.norm(fine[:, :n] - coarse[:, :n], ord=2, axis=(1, 2))
-        return TransitionTable(fine[:, :n], fine[:, n:], outputs, errors, False)
+            found = [table_flow(own, a, b) for a, b in pairwise(grid.tolist())]
+            F = np.array([flow for flow, _ in found]).reshape(-1, n, n)
+            return TransitionTable(F, outputs, np.array([error for _, error in found]), True)
+        coarse, fine = (self._flow_along(grid, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
+        return TransitionTable(fine, outputs, np.linalg.norm(fine - coarse, ord=2, axis=(1, 2)), False)
 
-    def _flow_along(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
-        """Phi over W for each gap, scaled, (K-1, 2n, n)."""
+    def _flow_along(self, grid: Array, tolerance: float) -> Array:
+        """Phi for each gap, scaled, (K-1, n, n)."""
         n, unit = self.n_states, self.states.scales
-        noise = None if spread is None or self.G is None else (self.G, spread)
 
         def rate(t: float, flat: Array) -> Array:
             A = np.asarray(self.A(t), dtype=float) * unit / unit[:, None]
@@ -339,18 +316,10 @@ class TimeVaryingPlant(Record):
                 raise ArgumentError(
                     f"`A` must be finite on the whole horizon, got {A.ravel()[:4].tolist()} at t = {t!r}."
                 )
-            if noise is None:  # W stays 0
-                return np.asarray((A @ flat.reshape(n, n)).ravel())
-            both, G = flat.reshape(2 * n, n), np.asarray(noise[0](t), dtype=float) / unit[:, None]
-            half = A @ both[n:]
-            return np.vstack([A @ both[:n], half + half.T + G * noise[1] @ G.T]).ravel()
+            return np.asarray((A @ flat.reshape(n, n)).ravel())
 
-        begin = np.eye(n if noise is None else 2 * n, n).ravel()
-        found = np.zeros((grid.size - 1, 2 * n, n))
-        for k, (a, b) in enumerate(pairwise(grid.tolist())):
-            both = integrated(rate, a, b, begin, tolerance)[0].reshape(-1, n)
-            found[k, :n], found[k, n : len(both)] = both[:n], symmetrise(both[n:]) if len(both) > n else both[n:]
-        return found
+        ends = [integrated(rate, a, b, np.eye(n).ravel(), tolerance)[0] for a, b in pairwise(grid.tolist())]
+        return np.array(ends).reshape(-1, n, n)
 
     def explain(self) -> str:
         """Say what the plant is."""

@@ -30,7 +30,7 @@ Numbers = npt.NDArray[Any]  # doubles, or Fractions
 INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
 
 
-METHODS = ("riccati", "lmi", "proof", "given")
+METHODS = ("riccati", "proof", "given")
 TABLE = table(
     {
         **AROUND,

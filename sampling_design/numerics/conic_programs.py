@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sampling_design.errors import SolverError
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
@@ -67,20 +66,6 @@ def quiet_settings(tolerance: float | None = None, iterations: int | None = None
 def usable(record: SolverRecord) -> bool:
     """Whether the variables may hold a point worth checking."""
     return record.status in USABLE
-
-
-def require(record: SolverRecord, what: str) -> SolverRecord:
-    """Return `record` if there is a point worth checking.
-
-    Raises SolverError if there is none; it carries the status.
-    """
-    if not usable(record):
-        raise SolverError(
-            f"The solver found no point for {what}: it ended with status {record.status!r} "
-            f"({record.details.get('raw_status', '')}).",
-            status=record.status,
-        )
-    return record
 
 
 @dataclass(frozen=True, eq=False)

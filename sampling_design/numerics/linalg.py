@@ -223,17 +223,15 @@ def _halves(matrix: Array) -> tuple[Array, Array]:
     return high, matrix - high
 
 
-def psd_root(matrix: Array, rtol: float | None = None) -> Array:
+def psd_root(matrix: Array) -> Array:
     """Return L (..., n, r) with L L' = `matrix`, r its numerical rank over the whole stack.
 
-    Eigenvalues below `rtol` (default n eps) times the largest count as zero; works where a Cholesky
-    factor does not exist.
+    Eigenvalues below n eps times the largest count as zero; works where a Cholesky factor does not exist.
     """
     n = matrix.shape[-1]
     values, vectors = np.linalg.eigh(matrix)
     top = np.max(np.abs(values), axis=-1, initial=0.0, keepdims=True)
-    tolerance = (n * np.finfo(float).eps if rtol is None else rtol) * top
-    kept = np.where(values > tolerance, values, 0.0)
+    kept = np.where(values > n * np.finfo(float).eps * top, values, 0.0)
     rank = int(np.max(np.sum(kept > 0, axis=-1), initial=0))
     return (vectors * np.sqrt(kept)[..., None, :])[..., n - rank :]
 

@@ -10,8 +10,6 @@ from sampling_design.certificates.detectability import best_rate as room
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
-from sampling_design.numerics.conic_programs import ConeSolution
-from sampling_design.records.evidence import SolverRecord
 from tests.cases import few
 from tests.oracles.proof_constants import dissipation_top
 
@@ -133,48 +131,12 @@ def test_unseen_mode_that_does_not_decay_is_refused_by_both(eigenvalue):
         assert np.abs(caught.value.directions[:, 0]) == pytest.approx([1.0, 0.0, 0.0], abs=1e-8)
 
 
-def test_matrix_inequality_gives_the_least_overshoot_for_the_same_constants():
-    riccati = certify_detectability(UNSEEN)
-    lmi = certify_detectability(UNSEEN, method="lmi")
-    assert (lmi.eta, lmi.c_w, lmi.c_y) == (riccati.eta, riccati.c_w, riccati.c_y)
-    assert lmi.overshoot < riccati.overshoot / 2
-    assert lmi.solver is not None
-    assert oracle(lmi) <= 0
-
-
-@pytest.mark.parametrize("seed", [3, 11, 14])
-def test_the_least_overshoot_is_what_the_modelling_library_finds(seed):
-    plant = random_plant(seed)
-    found = certify_detectability(plant, method="lmi", margin=1e-6)
-    n, eye = plant.n_states, np.eye(plant.n_disturbances)
-    size = np.linalg.norm(found.P, 2)
-    P, top = cp.Variable((n, n), symmetric=True), cp.Variable()
-    corner = size * (plant.A.T @ P + P @ plant.A + found.eta * P) - found.c_y * plant.C.T @ plant.C
-    units = np.diag(1 / np.sqrt(np.r_[np.full(n, size * found.eta), np.full(len(eye), found.c_w)]))
-    block = cp.bmat([[corner, size * P @ plant.G], [size * plant.G.T @ P, -found.c_w * eye]])
-    floor = np.linalg.eigvalsh(certify_detectability(plant, margin=1e-6).P)[0] / size
-    parts = [floor * np.eye(n) << P, P << top * np.eye(n), units @ ((block + block.T) / 2) @ units << 0]
-    cp.Problem(cp.Minimize(top), parts).solve(solver=cp.CLARABEL)
-    assert np.linalg.eigvalsh(found.P)[-1] / size == pytest.approx(top.value, rel=1e-3)
-
-
 @pytest.mark.parametrize("name", ["satellite", "tidal_gauge", "cart_pendulum", "three_compartment", "helicopter_he1"])
 def test_plants_of_the_library_are_certified_by_every_method(name):
     plant = named_plant(name)
-    riccati, lmi = certify_detectability(plant), certify_detectability(plant, method="lmi")
-    assert lmi.overshoot <= riccati.overshoot * (1 + 1e-3)
-    for found in (riccati, lmi, detectability_from_proof(plant)):
+    for found in (certify_detectability(plant), detectability_from_proof(plant)):
         assert found.verify().passed
         assert oracle(found) <= 1e-12 * np.linalg.norm(plant.A, 2)
-
-
-def test_word_of_the_solver_is_not_believed(monkeypatch):
-    def wrong(cost, blocks):
-        return ConeSolution(np.full(len(cost), 1e3), (), SolverRecord("liar", status="solved"))
-
-    monkeypatch.setattr(room.conic_programs, "solve_cone_program", wrong)
-    with pytest.raises(SolverError, match="fails the dissipation inequality"):
-        certify_detectability(UNSEEN, method="lmi")
 
 
 def test_proof_constants_are_those_of_the_formulas():
@@ -224,7 +186,6 @@ def test_degenerate_plants_are_certified_both_ways(plant):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "sdp"}, '`method` must be "riccati" or "lmi"'),
         ({"c_w": 1.0}, "must be bounded together or not at all"),
         ({"eta": -1.0}, "`eta` must be positive"),
         ({"noise_gain": 0.0}, "`noise_gain` must be positive"),

@@ -30,7 +30,7 @@ SCALAR = Plant([[1.0]], [[1.0]])
 def certificates():
     return (
         certify_detectability(OSCILLATOR),
-        certify_detectability(TILTED, eta=0.7, method="lmi"),
+        certify_detectability(TILTED, eta=0.7),
         detectability_from_proof(DOUBLE),
         DetectabilityCertificate(SCALAR, [[1.0]], eta=1.0, c_w=1.0, c_y=4.01, margin=1e-3),
         certify_detectability(QUIET),
@@ -83,7 +83,7 @@ def test_the_file_is_laid_out_as_the_formats_say():
 def test_any_altered_byte_is_refused(old, tmp_path):
     path = certificates()[0].save(tmp_path / "certificate.json")
     text = path.read_text()
-    new = {'"s"': '"h"', '"riccati"': '"lmi"', '"version": ': '"version": "1", "name": '}.get(old, old + "1")
+    new = {'"s"': '"h"', '"riccati"': '"proof"', '"version": ': '"version": "1", "name": '}.get(old, old + "1")
     assert text.count(old) >= 1
     path.write_text(text.replace(old, new, 1))
     with pytest.raises((CertificateError, FileFormatError), match=r"the digest does not fit the content|occurs twice"):
@@ -125,7 +125,7 @@ def test_a_file_about_another_plant_is_refused(k, tmp_path):
         (lambda d: d.pop("c_w"), "`c_w` is missing in the certificate"),
         (lambda d: d.update(P1=[[1.0]]), "unknown key 'P1' in the certificate"),
         (lambda d: d.update(times={"kind": "periodic"}), "unknown key 'times' in the certificate"),
-        (lambda d: d.update(method="guess"), "`method` must be one of riccati, lmi, proof, given, got 'guess'"),
+        (lambda d: d.update(method="guess"), "`method` must be one of riccati, proof, given, got 'guess'"),
         (lambda d: d.update(eta=0.0), "`eta` must be positive"),
         (lambda d: d.update(c_w=-1.0), "`c_w` must be positive"),
         (lambda d: d.update(c_y="1.0"), "`c_y` must be a number"),
@@ -392,7 +392,7 @@ def test_who_needs_samples_is_told_that_there_are_none():
 def test_wrong_arguments_are_refused():
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got str"):
         DetectabilityCertificate("oscillator", [[1.0]], 1.0, 1.0, 1.0)
-    with pytest.raises(ArgumentError, match="`method` must be one of riccati, lmi, proof, given, got 'sdp'"):
+    with pytest.raises(ArgumentError, match="`method` must be one of riccati, proof, given, got 'sdp'"):
         DetectabilityCertificate(SCALAR, [[1.0]], 1.0, 1.0, 1.0, method="sdp")
     with pytest.raises(ArgumentError, match="`margin` must not be negative"):
         DetectabilityCertificate(SCALAR, [[1.0]], 1.0, 1.0, 1.0, margin=-0.1)

@@ -34,10 +34,10 @@ def stated():
     return json.loads(json.dumps(certify_detectability(OSCILLATOR).to_dict()))
 
 
-@pytest.mark.parametrize(("method", "name"), few(product(["riccati", "lmi", "proof"], PLANTS), 0, 1, 8, 13, 17))
+@pytest.mark.parametrize(("method", "name"), few(product(["riccati", "proof"], PLANTS), 0, 1, 7, 11))
 def test_what_is_made_is_proven_with_the_slack_of_the_checker(name, method, tmp_path):
     plant = named_plant(name)
-    made = detectability_from_proof(plant) if method == "proof" else certify_detectability(plant, method=method)
+    made = detectability_from_proof(plant) if method == "proof" else certify_detectability(plant)
     back = read_certificate(made.save(tmp_path / "certificate.json"), plant)
     plain, rigorous = back.verify(), back.verify(rigorous=True)
     assert (plain.passed, rigorous.verdict) == (True, "proven")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from sampling_design.errors import MissingExtraError, SolverError
+from sampling_design.errors import MissingExtraError
 from sampling_design.estimators.constraints import least_distance, qp
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.numerics import conic_programs
@@ -74,19 +74,6 @@ def test_the_modelling_library_is_an_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     with pytest.raises(MissingExtraError, match="modelling"):
         qp.cvxpy()
-
-
-def test_a_problem_without_a_point_is_an_error_that_carries_the_status():
-    rows, b = np.array([[-1.0], [1.0]]), np.array([-2.0, 1.0])  # x >= 2 and x <= 1
-    record = conic_programs.require(
-        conic_programs.solve_cone_program(np.ones(1), [("nonnegative", rows[:1], b[:1])]).record, "a line"
-    )
-    assert record.status == "solved"
-    record = conic_programs.solve_cone_program(np.ones(1), [("nonnegative", rows, b)]).record
-    with pytest.raises(SolverError, match="The solver found no point for two lines") as caught:
-        conic_programs.require(record, "two lines")
-    assert caught.value.status == "infeasible"
-    assert caught.value.exit_code == 3
 
 
 def test_a_second_order_cone_beside_others():

@@ -31,7 +31,7 @@ assert estimator.update(0.4, [0.98]).certified
 ball = sd.estimators.ConvexSet.ball(0.5, dimension=2) & sd.estimators.ConvexSet.box([-0.4, -0.4], [0.4, 0.4])
 sets = sd.Constraints(x=ball, y=(5.0, 10.0), v=(-1.0, 1.0))
 assert "No trajectory meets" in sd.MovingHorizonEstimator(plant, certificate, constraints=sets).update(0.4, [9.0]).note
-assert sd.certificates.certify_detectability(plant, method="lmi").verify().passed
+assert sd.certificates.certify_detectability(plant).verify().passed
 for extra, asked in (("modelling", estimator.problem), ("control", plant.to_control)):
     try:
         asked()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,6 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_ly
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate, proven
 from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError, SolverError
-from sampling_design.numerics import conic_programs
 from sampling_design.numerics.filtering import stationary_covariance
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.count.functional import part_for
@@ -54,7 +52,6 @@ def certify_detectability(
     noise_gain: float = NOISE_GAIN,
     margin: float = MARGIN,
     floor: float = FLOOR,
-    method: str = "riccati",
     of: Wanted = None,
 ) -> DetectabilityCertificate:
     """Certify exponential i-iIOSS with explicit constants.
@@ -75,9 +72,6 @@ def certify_detectability(
         The inequality is solved at the rate (1 + margin) eta, and stated, with strict proof, at (1 + margin/4) eta.
     floor : float
         Noise in every direction, relative to |G|^2, that keeps P well conditioned; 0 for the exact optimum.
-    method : {"riccati", "lmi"}
-        "riccati" returns the largest P; "lmi" the P of least condition number (least overshoot) for the same
-        eta, c_w, c_y.
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`).
         Default: all states.
@@ -94,7 +88,7 @@ def certify_detectability(
     CertificateError
         If the bounds are too small for the rate; says what they would have to be.
     SolverError
-        If the Riccati equation or the matrix inequality cannot be solved to a certificate that passes.
+        If the Riccati equation cannot be solved.
 
     Notes
     -----
@@ -123,7 +117,9 @@ def certify_detectability(
     sampling_design.errors.NotDetectableError: ... -0.3 ...
     """
     plant = part_for(plant, of, decay_rate=eta)
-    _arguments(plant, method, c_w, c_y)
+    _refuse_no_states(plant)
+    if (c_w is None) != (c_y is None):
+        raise ArgumentError("`c_w` and `c_y` must be bounded together or not at all: one can be traded for the other.")
     noise_gain, margin = checks.positive("noise_gain", noise_gain), checks.positive("margin", margin)
     floor = checks.nonnegative("floor", floor)
     eta = None if eta is None else checks.positive("eta", eta)
@@ -149,18 +145,15 @@ def certify_detectability(
             raise SolverError(_NO_SOLUTION.format(rate=short(eta * (1 + margin))))
         _within(least, eta, gain_y, ratio)
     P, gain = _largest_P(plant, eta * (1 + margin), ratio, floor, gain_y)
-    certificate = DetectabilityCertificate(
-        plant, P, eta, gain_y / ratio, gain_y, margin=STATED * margin, method="riccati", gain=gain
+    stated = STATED * margin
+    return proven(
+        DetectabilityCertificate(plant, P, eta, gain_y / ratio, gain_y, margin=stated, method="riccati", gain=gain)
     )
-    return proven(certificate if method == "riccati" else _least_overshoot(certificate, margin))
 
 
-def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) -> None:
+def _refuse_no_states(plant: Plant) -> None:
     if plant.n_states == 0:
         raise ArgumentError("`plant` must have at least one state: without states there is nothing to detect.")
-    checks.word("method", method, ("riccati", "lmi"))
-    if (c_w is None) != (c_y is None):
-        raise ArgumentError("`c_w` and `c_y` must be bounded together or not at all: one can be traded for the other.")
 
 
 def refuse_undetectable(plant: Plant, rate: float) -> None:
@@ -234,52 +227,6 @@ def _within(least: Callable[[float], float], eta: float, allowed: float, ratio: 
         )
 
 
-_SHIFTS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
-"""How far the solver's P is moved towards the Riccati one, which satisfies the inequality strictly, until it passes."""
-
-
-def _least_overshoot(certificate: DetectabilityCertificate, margin: float) -> DetectabilityCertificate:
-    """P of least condition number for the same eta, c_w, c_y, from the matrix inequality.
-
-    Posed in coordinates where the Riccati P is the identity and time is 1/eta, each direction of the inequality scaled
-    by the size of its terms, so that all data are of order one.
-    """
-    plant, n = certificate.plant, certificate.plant.n_states
-    L = np.linalg.cholesky(certificate.P)
-    eta = certificate.eta * (1 + margin / 2)
-    A = np.linalg.solve(L, (plant.A / eta).T @ L).T
-    K = np.linalg.solve(L, plant.C.T) * np.sqrt(certificate.c_y / eta)
-    G = L.T @ plant.G / np.sqrt(eta * certificate.c_w)
-    unit = np.linalg.solve(L, np.eye(n)) * np.sqrt(np.linalg.eigvalsh(certificate.P)[0])
-    floor = unit @ unit.T  # the identity of the plant's coordinates, as large as the Riccati P allows
-    _, modes = np.linalg.eigh(A.T + A + np.eye(n) - K @ K.T)
-    scale = modes / np.sqrt(1 + np.linalg.norm(modes.T @ K, axis=1) ** 2 + 2 * np.linalg.norm(A @ modes, axis=0))
-
-    def inequality(Z: Array, constant: float) -> Array:
-        corner = scale.T @ (A.T @ Z + Z @ A + Z - constant * K @ K.T) @ scale
-        off, last = scale.T @ Z @ G, -constant * np.eye(plant.n_disturbances)
-        return symmetrise(np.block([[corner, off], [off.T, last]]))
-
-    each = np.eye(n * (n + 1) // 2)
-    linear = np.array([conic_programs.svec(inequality(Z, 0.0)) for Z in conic_programs.smat(each)]).T
-    low, still = conic_programs.svec(floor), conic_programs.svec(inequality(np.zeros((n, n)), 1.0))
-    blocks = [  # Z - floor, top floor - Z and the negative of the inequality
-        ("psd", np.column_stack([-each, 0 * low]), -low),
-        ("psd", np.column_stack([each, -low]), 0 * low),
-        ("psd", np.column_stack([linear, 0 * still]), -still),
-    ]
-    solved = conic_programs.solve_cone_program(np.eye(len(each) + 1)[-1], blocks)
-    record = conic_programs.require(solved.record, "the least overshoot")
-    P_lmi = L @ conic_programs.smat(solved.x[:-1]) @ L.T
-    for shift in _SHIFTS:
-        shifted = symmetrise((1 - shift) * P_lmi + shift * certificate.P)
-        if np.linalg.eigvalsh(shifted)[0] > 0:
-            moved = replace(certificate, P=shifted, method="lmi", solver=record)
-            if moved.verify().passed:
-                return moved
-    raise SolverError("The solver's P fails the dissipation inequality and no small shift repairs it.", record.status)
-
-
 @checked
 def detectability_from_proof(
     plant: Plant, gain: npt.ArrayLike | None = None, Q: npt.ArrayLike | None = None
@@ -328,7 +275,7 @@ def detectability_from_proof(
     True
     """
     n = plant.n_states
-    _arguments(plant, "riccati", None, None)
+    _refuse_no_states(plant)
     Q = np.eye(n) if Q is None else checks.definite("Q", Q, n)
     if gain is None:
         refuse_undetectable(plant, 0.0)

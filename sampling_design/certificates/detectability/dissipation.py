@@ -19,7 +19,7 @@ from sampling_design.records.declarations import Converted, above, below, frozen
 from sampling_design.records.evidence import Claim, SolverRecord, with_digest
 from sampling_design.records.record import Plain
 
-METHODS = ("riccati", "lmi", "proof", "given")
+METHODS = ("riccati", "proof", "given")
 
 
 @frozen
@@ -40,7 +40,7 @@ class DetectabilityCertificate(VerifiableRecord):
     margin : float
         What `verify` proves is the inequality at the rate (1 + margin) eta.
     method : str
-        "riccati", "lmi", "proof" or "given".
+        "riccati", "proof" or "given".
     gain : (n, p) array, optional
         Observer gain L behind the certificate; A - LC is Hurwitz. Not in the file: c_y P^{-1} C' is always one.
     constants : ConstantList

@@ -210,10 +210,13 @@ def named() -> dict[str, Any]:
 def special() -> dict[str, dict[str, Any]]:
     """Arguments that one callable needs otherwise than their names say."""
     t, place, plant, cost = things(), folder(), things()["plant"], things()["cost"]
+    noises = {"w_bound": 0.1, "v_bound": 0.1, "w_intensity": 0.01, "v_deviation": 0.1}
     suffixes = {"write_plant": "p.toml", "write_requirement": "r.toml", "write_schedule": "s.csv"}
     return {
         **{name: {"path": place / ("made_" + file)} for name, file in suffixes.items()},
-        "MovingHorizonEstimator": {"certificate": None, "cost": cost},
+        "MovingHorizonEstimator": {"certificate": None, "cost": cost, "horizon": 5.0},
+        **dict.fromkeys(("guaranteed_accuracy", "state_interval", "accuracy_limit", "accuracy_by_count"), noises),
+        "SetMembershipEstimator": noises | {"initial_error": 1.0},
         "NonlinearPlant": {
             "sizes": {"states": 2, "inputs": 0, "disturbances": 2, "noises": 1, "outputs": 1}, "signals": {},
             "bounds": {},
@@ -230,7 +233,7 @@ def special() -> dict[str, dict[str, Any]]:
         "next_sample": {"plan": _small_plan(), "record": None, "now": 0.0},
         "read_plan": {"path": _plan_file()},
         "UncertainParameter": {"low": 0.0, "high": 0.1, "A": np.eye(2)},
-        "UncertainPlant": {"parameters": [_stiffness()]},
+        "UncertainPlant": {"nominal": plant, "parameters": [_stiffness()]},
         "UncertainPlant.from_intervals": {"plant": plant, "A": {}},
         "UncertainPlant.from_tree": {"data": t["uncertain"].to_tree()},
         "UncertainPlant.within": {"low": [0.0], "high": [0.05]},
@@ -269,8 +272,9 @@ def special() -> dict[str, dict[str, Any]]:
         "sweep": {"question": sd.plants.split_modes, "items": [plant]},
         "Measurements": {"times": [0.5, 1.0], "y": [[0.1], [0.2]]},
         "Signals": {},
-        "Plant": {"states": ["p", "v"], "outputs": ["y"], "inputs": ["u"], "disturbances": ["a", "b"],
-                  "B": np.ones((2, 1))},
+        "Constraints": {"y": None},
+        "Plant": {"A": plant.A, "C": plant.C, "B": np.ones((2, 1)), "states": ["p", "v"], "outputs": ["y"],
+                  "inputs": ["u"], "disturbances": ["a", "b"]},
         "FunctionalPlant": {"whole": plant, "map": t["part"].map, "rows": 1, "A": t["part"].A, "C": t["part"].C,
                             "G": t["part"].G},
         "FunctionalPlant.of_part": {"part": t["part"], "whole": plant, "onto": t["part"].map, "rows": 1},

@@ -31,7 +31,7 @@ from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.vector_bounds import VectorBound
+from sampling_design.records.vector_bounds import VectorBound, vector_bound
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 SAME_TIME = 1e-12
@@ -181,6 +181,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         maximum_delay: float | None = None,
     ):
         self.plant = plant
+        if initial_error is not None:
+            vector_bound("initial_error", initial_error, plant.states.names)
         self.error_bound = None if certificate is None else InclusionBound(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
         self.horizon, claim_note = choose_horizon(certificate, horizon, cost, "arrival")

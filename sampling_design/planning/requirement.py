@@ -14,7 +14,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen, plain
 from sampling_design.records.record import PlainRecord, WrittenRecord, counted, short
 from sampling_design.records.units import check_time_unit
-from sampling_design.records.vector_bounds import Entry, VectorBound
+from sampling_design.records.vector_bounds import Entry, VectorBound, of_any_names
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.opening import OpeningCalendar
 from sampling_design.schedules.sensor import Duration, Sensor, duration
@@ -169,6 +169,7 @@ class PlanRequirement(WrittenRecord):
             samples=checks.at_least_one,
             cost_limit=checks.positive,
             visit_price=checks.nonnegative,
+            **dict.fromkeys(("w_bound", "w_intensity", "initial_error"), of_any_names),
         )
         if self.time_unit is not None:
             check_time_unit(self.time_unit)

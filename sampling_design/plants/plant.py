@@ -188,7 +188,7 @@ class Plant(Record):
         if A.shape[1] != n:
             slip = " Decimals have a point, not a comma: 0.5." if A.shape[1] == 2 * n else ""
             raise ArgumentError(f"`A` must be square, got shape {A.shape}.{slip}")
-        empty = self.C is not None and np.size(np.asarray(self.C, dtype=object)) == 0 and n > 0
+        empty = n > 0 and checks.floats("C", self.C).size == 0
         C = np.zeros((0, n)) if empty else checks.matrix("C", self.C, None, n)
         p = C.shape[0]
         if p == 0:

@@ -103,5 +103,5 @@ def _named(plant: Plant, name: str, argument: str) -> tuple[Array, str]:
         return state, states.units[states.names.index(name)]
     if output is not None:
         return output, outputs.units[outputs.names.index(name)]
-    known = [*states.names, *outputs.names]
+    known = dict.fromkeys((*states.names, *outputs.names))
     raise ArgumentError(f"`{argument}` must name states or outputs, got {name!r}. {likely(name, known)}")

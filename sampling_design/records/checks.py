@@ -414,12 +414,7 @@ def output_mask(name: str, value: object, samples: int) -> Mask | None:
     """
     if value is None:
         return None
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise ArgumentError(
-            f"`{name}` must have one row per sample, all of one length, got rows of unequal length."
-        ) from None
+    array = _as_reals(name, value)
     if array.ndim != 2 or array.shape[0] != samples or array.shape[1] < 1:
         raise ArgumentError(
             f"`{name}` must have shape ({samples}, number of outputs), one row per sample, got shape {array.shape}."

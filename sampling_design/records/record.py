@@ -139,9 +139,11 @@ class Record(Displayable, metaclass=_RecordType):
             object.__setattr__(self, name, value)
 
     def _check(self, **asked: Callable[[str, object], object]) -> None:
-        """Hold each of these fields as its check returns it; None, where nothing was said, stays None."""
+        """Hold each of these fields as its check returns it; None, where nothing need be said, stays None."""
         said = {name: getattr(self, name) for name in asked}
-        self._hold(**{name: asked[name](name, value) for name, value in said.items() if value is not None})
+        unsaid = {each.name for each in fields(self) if each.default is None or "None" in each.type}  # type: ignore[arg-type]
+        held = {name: value for name, value in said.items() if value is not None or name not in unsaid}
+        self._hold(**{name: asked[name](name, value) for name, value in held.items()})
 
     def explain(self) -> str:
         """Say in one or two sentences what this record means."""

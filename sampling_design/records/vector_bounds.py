@@ -18,6 +18,13 @@ VectorBound: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | None
 """A number, entries, or a mapping from names to numbers or pairs (lower, upper); None: no bound."""
 
 
+def of_any_names(argument: str, value: object) -> object:
+    """Return a bound as it was said, before it is known of what; what is neither numbers nor a table is refused."""
+    if not is_table(value):
+        checks.floats(argument, value)
+    return value
+
+
 def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> Array:
     """Return a bound about 0: a number (0-d array), on the Euclidean norm, or one for each entry, given by name or not.
 

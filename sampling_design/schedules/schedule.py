@@ -147,6 +147,7 @@ class Schedule(_ListWithDetails):
 
     def __post_init__(self) -> None:
         times = checks.increasing("times", self.times, _GAPS_SLIP)
+        checks.of_kind("assumed_zone", self.assumed_zone, str, "a string")
         self._own(times=times, outputs=checks.output_mask("outputs", self.outputs, times.size))
 
     @classmethod

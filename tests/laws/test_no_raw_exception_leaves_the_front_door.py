@@ -127,6 +127,23 @@ def test_what_other_packages_call_an_argument_names_ours():
     assert tried > 300
 
 
+def test_what_fits_nowhere_is_refused_by_the_name_of_its_argument():
+    left, tried = [], 0
+    for door in (each for each in front_door.doors() if each.name in sd.__all__):
+        taken = inspect.signature(door.target()).parameters
+        for key in front_door.optional(door.name):
+            for came in (front_door.Odd(), *[None] * (taken[key].default is inspect.Parameter.empty)):
+                tried += 1
+                try:
+                    door.target()(**door.arguments | {key: came})
+                except sd.SamplingDesignError as error:
+                    if f"`{key}" in str(error):
+                        continue
+                left.append((door.name, key, came))
+    assert left == []
+    assert tried > 350
+
+
 def test_wherever_a_generator_is_taken_its_seed_is():
     taken = {door.name: inspect.signature(door.target(front_door.kept)).parameters.get("rng") for door in callables()}
     hints = {name: rng.annotation for name, rng in taken.items() if rng is not None and rng.default is None}

@@ -115,7 +115,10 @@ def test_plain_data_is_exact():
             "skipped or repeated by the clocks",
         ),
         (lambda: Schedule([1.0], [[0, 0]]), "must measure at least one output at each sample, got none at sample 0"),
-        (lambda: Schedule([1.0, 2.0], [[1, 0], [1]]), "`outputs` must have one row per sample, all of one length, got"),
+        (
+            lambda: Schedule([1.0, 2.0], [[1, 0], [1]]),
+            "`outputs` must be a rectangular array of numbers, got rows of unequal length",
+        ),
         (lambda: Schedule([1.0], [[2]]), "`outputs` must hold True/False or 1/0 only"),
         (lambda: Schedule([1.0], [1]), r"`outputs` must have shape \(1, number of outputs\)"),
         (lambda: Schedule([1.0], [[1, 1]], output_names=["a"]), "`output_names` must have 2 entries, got 1"),

@@ -132,6 +132,9 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def __post_init__(self) -> None:
         checks.of_kind("plant", self.plant, Plant)
+        checks.of_kind("solver", self.solver, SolverRecord)
+        if self.witness is not None:
+            checks.of_kind("witness", self.witness, Witness)
         n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
         owned: dict[str, Array | float] = {"Qw": checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
         for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):

@@ -15,7 +15,7 @@ from sampling_design.accuracy.readings import RowReading
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal
-from sampling_design.estimators.constraints.convex_set import ConvexSet, all_inside, convex_set
+from sampling_design.estimators.constraints.convex_set import ConvexSet, all_inside, convex_set, set_like
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.gap_flows.cost_weights import stretches
@@ -55,8 +55,8 @@ class Constraints(Record):
     Raises
     ------
     ArgumentError
-        If `check_spacing` is not positive, or `w_model` or `engine` is unknown. The sets meet the plant's dimensions
-        in the estimator.
+        If a set is neither, `check_spacing` is not positive, or `w_model` or `engine` is unknown. The sets meet the
+        plant's dimensions in the estimator.
 
     Examples
     --------
@@ -77,6 +77,8 @@ class Constraints(Record):
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
+        for key in "xyvw":
+            set_like(key, getattr(self, key))
         self._check(check_spacing=checks.positive)
         for key, value, known in (("w_model", self.w_model, WModel), ("engine", self.engine, Engine)):
             checks.word(key, value, get_args(known))

@@ -261,20 +261,32 @@ def normed(matrix: Array) -> Array:
     return np.asarray(matrix / np.where(size > 0, size, 1.0))
 
 
+def set_like(name: str, value: object) -> ConvexSet | tuple[Array, Array] | None:
+    """Return `value`, a ConvexSet or a pair (lower, upper) of arrays of any length; None stays None.
+
+    Raises ArgumentError if it is something else.
+    """
+    if value is None or isinstance(value, ConvexSet):
+        return value
+    if not is_list(value) or len(value) != 2:
+        raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {checks.described(value)}.")
+    lower, upper = (checks.floats(name, side) for side in value)
+    return lower, upper
+
+
 def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     """Return `value`, a ConvexSet or a pair (lower, upper), as a set in R^dimension; None stays None.
 
     Raises ArgumentError if it is something else or has another dimension.
     """
-    if value is None:
+    chosen = set_like(name, value)
+    if chosen is None:
         return None
-    if not isinstance(value, ConvexSet):
-        if not is_list(value) or len(value) != 2:
-            raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {type(value).__name__}.")
-        sides = (checks.floats(name, side) for side in value)
-        lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
-        value = ConvexSet.box(lower, upper)
-    found: ConvexSet = value
+    if isinstance(chosen, ConvexSet):
+        found = chosen
+    else:
+        lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in chosen)
+        found = ConvexSet.box(lower, upper)
     if found.dimension != dimension:
         raise ArgumentError(f"`{name}` must have dimension {dimension}, got {found.dimension}.")
     return found

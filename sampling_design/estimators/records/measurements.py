@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
-from sampling_design.checkers.strict import is_list
+from sampling_design.checkers.strict import is_list, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series, is_frame, lines_of
 from sampling_design.estimators.records.measurement_table import (
@@ -88,7 +88,8 @@ class Measurements(ListRecord[MeasuredRow]):
     def __post_init__(self) -> None:
         if not isinstance(self.plant, MeasuredPlant):
             raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {checks.described(self.plant)}.")
-        if self.origin:
+        checks.of_kind("assumed_zone", self.assumed_zone, str, "a string")
+        if not is_text(self.origin) or self.origin:
             self._hold(origin=zoned_text(parse_date("origin", self.origin)))
         spans = checks.matrix("times", self.times, columns=2) if checks.dimensions(self.times) == 2 else None
         times = checks.vector("times", self.times if spans is None else spans.mean(axis=1))
@@ -96,7 +97,7 @@ class Measurements(ListRecord[MeasuredRow]):
         owned = {}
         for key, (value, width) in shapes.items():
             blank = np.full((times.size, width), np.nan)
-            array = blank if value is None else checks.floats(key, value)
+            array = blank if value is None and key == "u" else checks.floats(key, value)
             if array.shape != blank.shape or np.isinf(array).any():
                 raise ArgumentError(f"`{key}` must be finite or NaN of shape {blank.shape}, got shape {array.shape}.")
             array.flags.writeable = False

@@ -457,11 +457,20 @@ def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
     return [_arrived(item, p) for item in rows_of(items)]
 
 
+def refuse_truth(record: object) -> None:
+    """Raise ArgumentError of a record whose truth is known: an estimator takes what was measured of it."""
+    if hasattr(record, "measurements"):
+        raise ArgumentError(
+            f"`record` must hold rows (t, y, u), got {type(record).__name__}. Give its `.measurements`."
+        )
+
+
 def rows_of(record: Iterable[Row], origin: str = "") -> list[Row]:
     """Return the rows of a record as they came, those with dates as they count from `origin`, if it is known.
 
     Raises ArgumentError of a frame, since it does not say the date of time 0, and as `Measurements.on_clock`.
     """
+    refuse_truth(record)
     if hasattr(record, "columns"):
         raise ArgumentError(
             "`record` must hold rows (t, y, u), got a frame: give it as `read_measurements(frame, plant)`, which also "

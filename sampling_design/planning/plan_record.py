@@ -12,7 +12,7 @@ import numpy as np
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation, standard_deviation
-from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.errors import ArgumentError, FileFormatError, NotDetectableError
 from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.dates import PlanDates, plan_dates
@@ -150,7 +150,7 @@ class Plan(PlanFigures):
     def save(self, path: str | os.PathLike[str], *, periods: int = 4, person: str = "") -> Path:
         """Write the plan (a path that ends in .json), or a folder with all that the command `plan` writes.
 
-        Raises FileFormatError if a file cannot be written.
+        Raises FileFormatError if a file cannot be written, or `path` ends as a file does that is no .json.
 
         Parameters
         ----------
@@ -167,12 +167,19 @@ class Plan(PlanFigures):
         Path
             Where it was written.
         """
-        if Path(path).suffix == ".json":
+        place = Path(path)
+        if place.suffix.lower() == ".json":
             return write_text(path, to_json(self.to_dict()))
-        Path(path).mkdir(parents=True, exist_ok=True)
+        if place.suffix[1:].isalpha() and not place.is_dir():  # a folder may be named "v1.2"
+            raise FileFormatError(
+                f"{place}: a plan is written as .json, or into a folder with plan.ics, form.csv and sheet.html, got "
+                f"{place.suffix!r}. For the folder: save({str(place.with_suffix(''))!r}).",
+                str(place),
+            )
+        place.mkdir(parents=True, exist_ok=True)
         dated = self.keeps and self.requirement.calendar is not None
         write_plan(self, path, self.dates(periods) if dated else None, person=person)
-        return Path(path)
+        return place
 
     def elapsed(self, name: str, when: float | str | datetime) -> float:
         """Return the time since the plan's start of a date, or of a time that is a number already.
@@ -246,6 +253,8 @@ class Plan(PlanFigures):
             **selected(self, "certificate robustness left_out start"),
         }
 
+    _maker = "plan_samples(plant, requirement)"
+    _reader = "read_plan"
     _answers = ("{_what}", "{_evidence}", "{_good}", "`.verify()`")
 
     def _evidence(self) -> str:

@@ -165,6 +165,18 @@ def described(value: object) -> str:
         return f"{name} of lists inside each other"
 
 
+def is_ours(kind: object) -> TypeGuard[type]:
+    """Whether it is a class of this package."""
+    return isclass(kind) and kind.__module__.partition(".")[0] == __package__.partition(".")[0]
+
+
+def held_in(name: str, value: object, kinds: tuple[type, ...]) -> str:
+    """The sentence for a record that holds one of these, under the argument's name or alone: a plan its schedule."""
+    held = [key for key, own in getattr(value, "__dict__", {}).items() if isinstance(own, kinds)]
+    key = name if name in held else held[0] if len(held) == 1 else ""
+    return key and f" Its `.{key}` is one."
+
+
 def of_kind(name: str, value: object, kind: type[Instance], expected: str = "") -> Instance:
     """Return `value` if it is of a class.
 

@@ -23,7 +23,16 @@ import numpy as np
 
 from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import described, is_unicode, meant, of_file, takes, unmet_protocol
+from sampling_design.records.checks import (
+    described,
+    held_in,
+    is_ours,
+    is_unicode,
+    meant,
+    of_file,
+    takes,
+    unmet_protocol,
+)
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -283,7 +292,7 @@ def _exchanged(
 
     def fits(check: Check | None, value: object) -> bool:
         if check is None:  # what becomes an array, which nothing of ours does
-            return type(value).__module__.partition(".")[0] != __package__.partition(".")[0]
+            return not is_ours(type(value))
         try:
             check(value)
         except ArgumentError:
@@ -363,11 +372,17 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
                 return taken
         seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
         likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
-        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely or unmet(value)}")
+        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely or beside(value)}")
 
     asked = [kind for kind in _classes(hint) if kind is not type(None)]
     alone = asked[0] if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else object
     unmet = unmet_protocol(alone)
+    own = tuple(each for kind in asked if is_ours(each := typing.get_origin(kind) or kind))
+    maker = next((f" {said} makes one." for kind in own if (said := getattr(kind, "_maker", ""))), "")
+
+    def beside(value: object) -> str:
+        """What a value lacks; of a record of ours in the place of another, which part is meant, or who makes one."""
+        return unmet(value) or held_in(name, value, own) or (maker if is_ours(type(value)) else "")
 
     return check
 

@@ -79,9 +79,10 @@ class SamplingSet(Record):
 
     def __post_init__(self) -> None:
         if not isinstance(self.schedule, (Schedule, PeriodicSchedule)):
+            inside = checks.held_in("schedule", self.schedule, (Schedule, PeriodicSchedule))
             raise ArgumentError(
-                f"`schedule` must be a Schedule or PeriodicSchedule, got {type(self.schedule).__name__}. "
-                "Did you pass times? Use Schedule(times)."
+                f"`schedule` must be a Schedule or PeriodicSchedule, got {type(self.schedule).__name__}."
+                f"{inside or ' Did you pass times? Use Schedule(times).'}"
             )
         if not len(self.schedule):
             raise ArgumentError("`schedule` must have at least one sample, got none.")

@@ -117,6 +117,13 @@ def test_two_closed_days_with_a_sample_between_them_are_judged_together():
     assert not any(entry.added for entry in dates.entries)
 
 
+@pytest.mark.parametrize("name", ["plan.ics", "form.csv", "plan.xlsx"])
+def test_a_plan_saved_as_a_file_that_is_none_makes_no_folder(name, week, tmp_path):
+    with pytest.raises(sd.errors.FileFormatError, match=r"a plan is written as \.json, or into a folder .*: save\('"):
+        week.save(tmp_path / name)
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
     path = week.save(tmp_path / "plan.json")
     back = sd.read_plan(path)

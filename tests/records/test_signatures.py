@@ -450,3 +450,28 @@ def test_arguments_in_each_others_place_are_named(share):
         with pytest.raises((ArgumentError, CallError)) as other:
             thing(plant, *(valid[each] for each in between[:-1]), plant)
         assert "exchanged" not in str(other.value)
+
+
+@pytest.mark.parametrize(
+    ("verb", "came", "said"),
+    [
+        (
+            sd.compare_schedule,
+            ("plant", "certificate"),
+            "`schedule` must be .*, got Certificate. Its `.schedule` is one",
+        ),
+        (sd.window_sigma, ("certificate", "schedule"), "`plant` must be .*, got Certificate. Its `.plant` is one"),
+        (sd.MovingHorizonEstimator, ("plant", "robustness"), "got Robustness. Its `.certificate` is one"),
+        (sd.MovingHorizonEstimator, ("plant", "design"), r"got ScheduleDesign. certify\(plant, schedule\) makes one"),
+        (sd.design_schedule, ("plant", "design"), "got ScheduleDesign. Its `.requirement` is one"),
+        (sd.next_sample, ("plant",), r"got Plant. plan_samples\(plant, requirement\) makes one"),
+        (sd.Jitter, ("certificate",), "got Certificate. Its `.schedule` is one"),
+        (sd.state_interval, ("plant", "record"), "got SimulatedRecord. Give its `.measurements`"),
+    ],
+)
+def test_a_record_in_the_place_of_another_says_which_part_is_meant(verb, came, said):
+    things = front_door.things()
+    rest = {"window": 4.0, "timing_tolerance": 0.1, "w_bound": 0.1, "v_bound": 0.1, "times": [1.0]}
+    taken = inspect.signature(verb).parameters
+    with pytest.raises(ArgumentError, match=said):
+        verb(*map(things.get, came), **{key: value for key, value in rest.items() if key in taken})

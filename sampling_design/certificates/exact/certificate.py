@@ -91,6 +91,7 @@ class SampledCertificate(VerifiableRecord, ABC):
     """
 
     _slip: ClassVar[str] = "Weights go by name: P2=, Qw=, R=, Qv=, eta=."
+    _maker: ClassVar[str] = "certify(plant, schedule)"
     _reader: ClassVar[str] = "read_certificate"
     _weights = MATRICES
     _inequality = r"""  |\Delta x(t)|_{P_1}^2 &\le e^{-\eta t} |\Delta x(0)|_{P_2}^2

@@ -10,7 +10,14 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, RecordRow, at_some_time, time_or_span, with_censored
+from sampling_design.accuracy.readings import (
+    CensoredReading,
+    RecordRow,
+    at_some_time,
+    refuse_truth,
+    time_or_span,
+    with_censored,
+)
 from sampling_design.checkers.strict import is_list, is_number, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
@@ -457,6 +464,7 @@ def listed(record: object, plant: MeasuredPlant, origin: str = "") -> tuple[list
     Raises ArgumentError if it cannot be gone through; FileFormatError if it is a frame that holds no measurements of
     this plant.
     """
+    refuse_truth(record)
     record = on_clock(record, plant, origin)
     origin = record.origin if isinstance(record, Measurements) else ""
     if isinstance(record, Iterable) and not isinstance(record, (str, bytes)) and getattr(record, "ndim", True):

@@ -97,6 +97,10 @@ def accuracy(
     """
     plant = files.plant(plant_file)
     planned = files.plan_in(plant_file if schedule_file is None else schedule_file)
+    schedule, otherwise = None, ", or --samples 0,4,8 --period 7 for evenly spaced ones"
+    if times.samples is None and times.period is None:
+        path = files.schedule_path(plant_file, schedule_file, otherwise)
+        schedule = files.schedule_for(settings, plant, path)
     bounds, names = known_bounds(settings, plant, plant, typed.of(plant), planned, endless=True), listed(of)
     for flag, bound, signals in (
         ("--w-bound", bounds["w_bound"], plant.disturbances), ("--v-bound", bounds["v_bound"], plant.outputs),
@@ -109,7 +113,7 @@ def accuracy(
     v = _noise(plant, bounds["v_bound"], times.result_delay)
     seconds = None if budget is None else positive("budget", budget)
     w, rows = bounds["w_bound"], names or None
-    if times.samples is not None or times.period is not None:
+    if schedule is None:
         idle = {"SCHEDULE": schedule_file, "--initial-error": typed.initial_error, "--tolerance": tolerance}
         idle |= {"--w-intensity": w_intensity, "--v-deviation": v_deviation, "--projection": projection or None}
         by_count = partial(
@@ -117,8 +121,6 @@ def accuracy(
         )
         _finish_counts(settings, times, idle, by_count)
         return
-    otherwise = ", or --samples 0,4,8 --period 7 for evenly spaced ones"
-    schedule = files.schedule_for(settings, plant, files.schedule_path(plant_file, schedule_file, otherwise))
     pair = _pair(projection)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy") as progress:

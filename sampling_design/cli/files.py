@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
-_FORMAT = re.compile(r"[\"']sampling-design/(plant|schedule|requirement|certificate|plan-requirement|plan|design)\b")
+_FORMAT = re.compile(r"[\"']sampling-design/([a-z-]+)/")
 _KEYS = {
     "plant": {"matrices", "states", "outputs", "A", "C"},
     "requirement": {"window", "period", "spacing", "samples", "target_sigma", "forbidden", "fixed", "cost_limit"},
@@ -52,7 +52,15 @@ _MIXED = {
     ),
 }
 """The likely slip where one kind of file is given for another."""
+_UNREAD = {
+    "calendar": (".ics",),
+    "picture": (".png", ".svg", ".pdf"),
+    "web page": (".html",),
+    "document": (".md", ".tex"),
+}
+"""What is written and never read."""
 _WRITTEN = {
+    "measurement": "form.csv",
     "plant": "plant.toml",
     "requirement": "requirement.toml",
     "plan requirement": "plan.toml",
@@ -225,9 +233,11 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
         if found not in (kind, ""):
             beside = path.with_name(_WRITTEN.get(kind, path.name))
             meant = beside.is_file() and beside != path and kind_of(beside) == kind
-            slip = f"Did you mean {beside}?" if meant else "Are the arguments in their order?"
-            slip = _MIXED.get((found, kind), slip)
-            raise FileFormatError(f"{where}: is a {found} file, expected a {kind} file. {slip}", where) from None
+            otherwise, file = ("", "") if found in _UNREAD else ("Are the arguments in their order?", " file")
+            slip = _MIXED.get((found, kind), f"Did you mean {beside}?" if meant else otherwise)
+            a = "an" if found[0] in "aeiou" else "a"
+            said = f"{where}: is {a} {found}{file}, expected a {kind} file. {slip}".rstrip()
+            raise FileFormatError(said, where) from None
         raise
 
 
@@ -245,16 +255,23 @@ def kind_of(path: Path) -> str:
     try:
         text = read_text(path)
     except SamplingDesignError:
-        return ""
+        text = ""
+    unread = next((kind for kind, ends in _UNREAD.items() if path.suffix.lower() in ends), "")
+    if unread or not text:
+        return unread
     if text.startswith(MARK):
         return "schedule"
     named = _FORMAT.search(text)
     if named:
-        return named[1].replace("-", " ")
+        return named[1].removeprefix("uncertain-").replace("-", " ")
     try:
         keys = set(from_json(text, "") if text.lstrip().startswith("{") else from_toml(text, ""))
     except SamplingDesignError:
         first = next((line for line in text.splitlines() if has_cells(line)), "")
         cells = {cell.strip() for cell in re.split("[,;\t]", first)}
+        if cells >= {"time", "date"}:
+            return "calendar"
+        if "certified" in cells:
+            return "estimate"
         return "measurement" if len(cells) > 1 and cells & {"time", "date"} else ""
     return next((kind for kind, known in _KEYS.items() if keys & known), "")

@@ -108,7 +108,7 @@ def _nearby(where: str) -> str:
         named = [each for each in names if Path(each).suffix == ending or Path(each).stem in (name, stem) or not ending]
         stems = {Path(each).stem: each for each in sorted(named, reverse=True)}
         near = name if name in stems else nearest(stem, stems)
-        return f" Did you mean {stems[near]}?" if near else ""
+        return f" Did you mean {Path(where).with_name(stems[near])}?" if near else ""
     return ""
 
 

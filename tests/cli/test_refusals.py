@@ -16,6 +16,7 @@ from sampling_design.cli.settings import Settings, with_common_flags
 from sampling_design.design import write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules import PeriodicSchedule, write_schedule
+from tests.cases import few
 
 OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"
 
@@ -68,9 +69,53 @@ def test_files_in_the_wrong_place_are_named_as_what_they_are(shell, arguments, w
     assert "Are the arguments in their order?" in result.err
 
 
+WRONG = {
+    "schedule.ics": ("BEGIN:VCALENDAR\n", "is a calendar"),
+    "calendar.csv": ("date,time,y\n2026-03-02,1,1\n", "is a calendar"),
+    "design.png": ("", "is a picture"),
+    "sheet.html": ("<!DOCTYPE html>\n", "is a web page"),
+    "constants.md": ("| constant |\n", "is a document"),
+    "estimates.csv": ("time,status,certified\n1,ok,1\n", "is an estimate file"),
+    "estimates.json": ('{"format": "sampling-design/estimate/1", "times": [1]}', "is an estimate file"),
+    "log.json": ('{"format": "sampling-design/schedule-log/1"}', "is a schedule log file"),
+}
+PLACES = [
+    ("info {}", "plant", "plant.toml"),
+    ("design plant.toml {}", "requirement", "requirement.toml"),
+    ("plan plant.toml {}", "plan requirement", "plan.toml"),
+    ("next {}", "plan", "plan.json"),
+    ("sigma plant.toml {}", "schedule", "schedule.csv"),
+    ("accuracy plant.toml {}", "schedule", "schedule.csv"),
+    ("verify {}", "certificate", "certificate.json"),
+    ("estimate plant.toml {}", "measurement", "form.csv"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "place"), few([(name, place) for name in WRONG for place in range(len(PLACES))], 0, 13)
+)
+def test_what_is_written_to_be_looked_at_is_no_argument(name, place, shell, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(OSCILLATOR, "plant.toml")
+    content, said = WRONG[name]
+    command, kind, right = PLACES[place]
+    Path(name).write_text(content)
+    result = shell(*command.format(name).split(), "--quiet")
+    assert (result.code, result.out) == (2, "")
+    assert f"{name}: {said}, expected a {kind} file." in result.err
+    if right == "plant.toml":
+        assert result.err.rstrip().endswith("Did you mean plant.toml?")
+
+
+def test_the_file_beside_is_named_where_a_missing_bound_would_be_asked_for(shell, tmp_path):
+    schedule = write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "schedule.csv")
+    shutil.copy(OSCILLATOR, plant := tmp_path / "plant.toml")
+    assert f"is a plant file, expected a schedule file. Did you mean {schedule}?" in shell("accuracy", plant, plant).err
+
+
 def test_a_command_in_a_text_does_not_say_what_the_text_is(shell, tmp_path):
     command = "# sampling-design design plant.toml requirement.toml\n"
-    notes, wanted = tmp_path / "notes.md", tmp_path / "wanted.toml"
+    notes, wanted = tmp_path / "notes.txt", tmp_path / "wanted.toml"
     notes.write_text(f"Notes\n{command}")
     wanted.write_text(f"{command}samples = 3\n")
     assert "must end in .csv or .json, got" in shell("sigma", OSCILLATOR, notes, "--quiet").err

@@ -160,14 +160,14 @@ def test_what_no_one_means_is_one_sentence(reader, text):
 def test_a_file_that_is_missing_suggests_none_that_shares_its_ending_only(tmp_path, asked, near):
     (tmp_path / "osc.toml").write_text("")
     (tmp_path / "nopen.py").write_text("")
-    with pytest.raises(FileFormatError, match=rf"no such file\.{f' Did you mean {near}.' if near else ''}$"):
+    with pytest.raises(FileFormatError, match=rf"no such file\.{f' Did you mean .*/{near}.' if near else ''}$"):
         read_plant(tmp_path / asked)
 
 
 @pytest.mark.parametrize("reader", [read_plant, read_schedule])
 def test_a_file_whose_ending_is_a_slip_is_missing_first(tmp_path, reader):
     (tmp_path / "osc.csv").write_text("")
-    with pytest.raises(FileFormatError, match=r"osc\.cvs: no such file\. Did you mean osc\.csv\?$"):
+    with pytest.raises(FileFormatError, match=r"osc\.cvs: no such file\. Did you mean .*/osc\.csv\?$"):
         reader(tmp_path / "osc.cvs")
 
 

@@ -458,7 +458,7 @@ def test_arguments_in_each_others_place_are_named(share):
         (
             sd.compare_schedule,
             ("plant", "certificate"),
-            "`schedule` must be .*, got Certificate. Its `.schedule` is one",
+            "got Certificate. Its `.schedule` is one",
         ),
         (sd.window_sigma, ("certificate", "schedule"), "`plant` must be .*, got Certificate. Its `.plant` is one"),
         (sd.MovingHorizonEstimator, ("plant", "robustness"), "got Robustness. Its `.certificate` is one"),

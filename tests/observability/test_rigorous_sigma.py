@@ -26,6 +26,7 @@ from sampling_design.observability.worst_case import balls as rigorous_worst
 from sampling_design.observability.worst_case.balls import WorstCase, prove_worst_sigma
 from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.cases import few
+from tests.counted_clock import Counted
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
@@ -98,6 +99,23 @@ def test_no_position_in_fifty_digits_lies_below(seed):
     for start in rng.uniform(schedule.first, schedule.first + schedule.period, 5):
         times = schedule.between(float(start), float(start) + window).times
         assert sigma_at(plant, times, mpmath.mpf(float(start))) >= proven.lower
+
+
+@pytest.mark.parametrize("name", ["oscillator", "stiff", "partial outputs", "finite"])
+def test_units_that_lie_far_apart_make_a_proof_no_longer(name):
+    """States and outputs in units of their own change sigma, but neither what is proven of it nor how many steps."""
+    plant, schedule, window = CASES[name]
+    rng = np.random.default_rng(len(name))
+    x = 10.0 ** rng.permutation([9.0, -4.0, 0.0][: plant.n_states])
+    y = 10.0 ** rng.permutation([5.0, 0.0][: plant.n_outputs])
+    steps = []
+    for here in (plant, Plant(plant.A * x[:, None] / x, plant.C * y[:, None] / x)):
+        plain, clock = window_sigma(here, schedule, window), Counted()
+        with clock.running():
+            proven = prove_window_sigma(here, schedule, window_pieces(schedule, window), plain.lower)
+        assert proven.lower == pytest.approx(plain.lower, rel=2e-6, abs=0)
+        steps.append(clock.steps)
+    assert steps[1] < 3 * steps[0]
 
 
 def test_exact_times_are_whole_periods_away_from_the_first():

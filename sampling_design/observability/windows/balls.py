@@ -1,7 +1,8 @@
 """Lower bounds of sigma over sliding windows, proven in ball arithmetic (extra `rigorous`).
 
 On a piece of window positions the samples are fixed, and Y = (O'O)^-1 flows with the window's start: Y' = A Y + Y A'.
-Sigma is at least mu along the piece iff Y <= I/mu^2 there.
+Sigma is at least mu along the piece iff Y <= I/mu^2 there. Y is followed in the units that its own diagonal gives the
+states, so that steps along it are as long in any units: only |Y| is taken in those of the plant.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from fractions import Fraction
 import numpy as np
 
 from sampling_design.numerics.ball_flow import BallFlow, highest
-from sampling_design.numerics.balls import Matrix, ball, flint, floats, matrix, precision, rational
-from sampling_design.numerics.linalg import symmetrise
+from sampling_design.numerics.balls import Ball, Matrix, ball, flint, floats, largest, matrix, precision, rational
+from sampling_design.numerics.linalg import positive_or_one, symmetrise
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.plants.plant import Plant
@@ -97,11 +98,12 @@ def prove_window_sigma(
         for g in range(len(pieces)):
             left, right = piece_ends(schedule, pieces, g)
             span = slice(int(pieces.first[g]), int(pieces.stop[g]))
-            starts.append((rows.gramian(exact[span], left, pieces.measured(g)).inv(), rational(right - left)))
+            Y = rows.gramian(exact[span], left, pieces.measured(g)).inv()
+            starts.append((Y, rows.own_units(Y), rational(right - left)))
 
         def proves(mu: float) -> bool:
             limit = (1 / ball(mu) ** 2).lower()
-            return all(highest(rows.flow, Y, length, clock, limit=limit) is not None for Y, length in starts)
+            return all(rows.stays_below(limit, *start, clock) for start in starts)
 
         return proves
 
@@ -206,6 +208,7 @@ class BallRows:
     def __init__(self, plant: Plant) -> None:
         self.C, self.flow = plant.C, BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A)))
         self._kept: dict[bytes, Matrix] = {}
+        self._flows: dict[tuple[float, ...], BallFlow] = {}
 
     def of(self, measured: Mask) -> Matrix:
         """C'C of the outputs that a sample measures."""
@@ -224,3 +227,19 @@ class BallRows:
             E = self.flow.over(rational(times[k] - (times[k - 1] if k else start)))[0]
             G = E.transpose() * G * E
         return G
+
+    def own_units(self, Y: Matrix) -> tuple[float, ...]:
+        """Units of the states, powers of two, in which Y has a diagonal near one; any units would be sound."""
+        sizes = np.sqrt(positive_or_one(np.diagonal(floats(Y))))
+        return tuple(np.exp2(np.rint(np.log2(sizes))).tolist())
+
+    def stays_below(self, limit: Ball, Y: Matrix, units: tuple[float, ...], length: Ball, clock: Budget) -> bool:
+        """Whether Y <= `limit` I is proven along the whole flow, which is followed in these units."""
+        unit, inverse = matrix(np.diag(units)), matrix(np.diag(1 / np.array(units)))
+        if units not in self._flows:
+            self._flows[units] = BallFlow(inverse * self.flow.A * unit, self.flow.S)
+        slope = ball(max(units)) ** 2
+        top = highest(
+            self._flows[units], inverse * Y * inverse, length, clock, lambda Z: largest(unit * Z * unit), slope, limit
+        )
+        return top is not None

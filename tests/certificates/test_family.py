@@ -143,7 +143,7 @@ def test_a_range_within_a_thousandth_of_half_a_turn_is_certified():
 def test_the_margin_stops_growing():
     family_ = in_plant_terms(OSCILLATOR, GapRange(0.5, 1.5))
     search = family.FamilySearch(OSCILLATOR, family_, (np.eye(2), np.eye(1), np.eye(1)), None, 3.0)
-    program = search.program(0.1, 0)
+    program = search.program(0.1, search.graph(0))
     widened = [program.widen() for _ in range(4)]
     assert widened == [True, True, True, False]
     assert program.margin == 0.05

@@ -12,7 +12,8 @@ from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.certificates.exact.given_weights import weights_of
-from sampling_design.certificates.families.certify_family import certify_family
+from sampling_design.certificates.families.certify_family import FamilySearch, certify_family
+from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.errors import SamplingDesignError
 from tests.cases import few
@@ -76,6 +77,23 @@ def test_families(seed, kind):
         return
     assert there.lam == pytest.approx(here.lam, rel=EXACT)
     assert there.horizon().minimum == pytest.approx(units.time * here.horizon().minimum, rel=EXACT)
+
+
+@pytest.mark.parametrize("prior", [False, True])
+@pytest.mark.parametrize("kind", list(families(1.0))[:-1])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_program_of_a_family_is_the_same_to_the_last_bit(seed, kind, prior):
+    """Rounding of the units alone took a solver elsewhere: one lambda was six times another, or none was found."""
+    plant, units, other = changed(seed)
+    made = []
+    for here, c, weights in ((plant, 1.0, given(plant)), (other, units.time, given(plant, units))):
+        P2, noise = weights["P2"] if prior else None, weights_of(here, weights["Qw"], weights["R"], None)
+        search = FamilySearch(here, in_plant_terms(here, families(c)[kind]), noise, P2, 3.0)
+        program = search.program(0.1 / c, search.graph(0))
+        rows = [program.dynamics.rows[edge.outputs] for edge in program.graph.edges]
+        numbers = program.dynamics.A, program.dynamics.noise, *rows, program.unit, *([program.P2] if prior else [])
+        made.append(([M.tobytes() for M in numbers], program.dynamics.eta, program.edge_times, program.node_times))
+    assert made[1] == made[0]
 
 
 @pytest.mark.parametrize("seed", SEEDS[1:2])

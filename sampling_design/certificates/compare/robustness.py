@@ -194,7 +194,7 @@ class RobustnessSearch:
     def proven(self, family: SamplingFamily, proposal: FamilyProposal) -> FamilyCertificate:
         """The certificate of a proposal."""
         within = in_plant_terms(self.plant, family)
-        return certified(self.plant, within, self.weights, self.certificate.P2, proposal)
+        return certified(self.plant, within, self.weights, proposal)
 
     def tried(self, family: SamplingFamily) -> FamilyTrial[SamplingFamily]:
         """One family, with as much memory as is tried for timing errors."""

@@ -23,6 +23,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 MOST_GROWTH = 300.0  # exponent of the largest growth between two samples that is followed: its square is still a double
 RANGE = 2.0**400
 """Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
+SINGULAR = 1e-6  # least eigenvalue of a weight's correlations from which on the digits cut leave it definite
 LATE = 10
 """Gaps before the first sample from which on dates are suspected that do not count from the schedule's beginning."""
 
@@ -121,10 +122,19 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
         each = cut(np.diff(old.times, prepend=0.0) / time)  # cut themselves, far times would lose their gaps
         schedule = Schedule(np.cumsum(each), old.outputs)
     weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
-    kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
+    kept = NoiseWeights(*map(cut_weight, weights))
     return ScaledProblem(
-        scaled, schedule, NoiseWeights(*kept), canon.x * x, canon.w * w, canon.y * y, canon.time * time, np.ones_like(x)
+        scaled, schedule, kept, canon.x * x, canon.w * w, canon.y * y, canon.time * time, np.ones_like(x)
     )
+
+
+def cut_weight(W: Array) -> Array:
+    """A weight with digits `cut`, but for one so nearly singular that it might not be definite then."""
+    sizes = np.diagonal(W)
+    d = np.sqrt(positive_or_one(sizes))
+    if np.count_nonzero(W - np.diag(sizes)) and not np.linalg.eigvalsh(W / d / d[:, None])[0] > SINGULAR:
+        return W
+    return cut(W)
 
 
 def followed(canon: ScaledProblem, eta: float) -> None:

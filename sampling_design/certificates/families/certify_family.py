@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.canonical import canonical
+from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, cut_weight, evened
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN
 from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, weights_of
 from sampling_design.certificates.exact.proof import as_proven
@@ -23,7 +24,6 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.certificates.families.graphs import PathCompleteGraph, graph_of, in_plant_terms, unrolled
 from sampling_design.certificates.families.program import FamilyProgram
 from sampling_design.certificates.families.step_proof import (
-    StepDynamics,
     StepOutcome,
     dynamics_of,
     edge_conditions,
@@ -34,7 +34,7 @@ from sampling_design.certificates.form.claims import FAMILY_CLAIM, RESOLUTION, S
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.numerics.filtering import propagate
-from sampling_design.numerics.linalg import discounted_flow, symmetrise
+from sampling_design.numerics.linalg import cut, discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -72,13 +72,13 @@ ROOM = 1.05  # factor on lambda where a gap that was added leaves no point at th
 
 @dataclass(frozen=True, eq=False)
 class FamilyProposal:
-    """Matrices of every node (P2 first) in the coordinates of `dynamics`, for which every inequality is proven.
+    """Matrices of every node (P2 first), in the plant's terms as the graph and rate, for which all are proven.
 
     Where P is None there are none, and why: `kept` is the share of the nominal information that is kept, `gap` the one
     that is worst. `lam` is what they reach; without them the least on the grid, proven for nothing (infinite: none).
     """
 
-    dynamics: StepDynamics
+    eta: float
     graph: PathCompleteGraph
     P: Array | None
     lam: float
@@ -89,7 +89,7 @@ class FamilyProposal:
     @property
     def horizon(self) -> float:
         """ln(lam)/eta."""
-        return float(np.log(max(self.lam, 1.0)) / self.dynamics.eta)
+        return float(np.log(max(self.lam, 1.0)) / self.eta)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,21 +103,32 @@ class FamilySearch:
     noise_gain: float
     budget: Budget = ENDLESS
 
-    def program(self, eta: float, memory: int, layers: int = LAYERS) -> FamilyProgram:
-        """The inequalities in coordinates where the nominal schedule keeps about the identity."""
-        graph = graph_of(self.family, memory, self.plant.n_outputs)
-        n, scales = self.plant.n_states, self.plant.states.scales
+    @cached_property
+    def inner(self) -> ScaledProblem:
+        """The problem in units in which the search is the same whatever those of the caller."""
+        return evened(canonical(self.plant, self.family.nominal, self.weights, self.P2))
+
+    def graph(self, memory: int, layers: int = LAYERS) -> PathCompleteGraph:
+        """The family's graph with so much memory, and as many layers as there is room for."""
+        graph, n = graph_of(self.family, memory, self.plant.n_outputs), self.plant.n_states
         room = MOST_UNKNOWNS // ((graph.count - 1) * n * (n + 1) // 2)
-        graph = unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
-        nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
+        return unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
+
+    def program(self, eta: float, graph: PathCompleteGraph) -> FamilyProgram:
+        """The inequalities in inner time, in coordinates where the nominal schedule keeps about the identity."""
+        inner, n = self.inner, self.plant.n_states
+        time, rate = inner.time, float(cut(eta * inner.time))
+        edges = (replace(e, low=float(cut(e.low / time)), high=float(cut(e.high / time))) for e in graph.edges)
+        graph = replace(graph, edges=tuple(edges))
+        nominal = window_problem(inner.plant, inner.schedule, np.eye(n), *inner.weights, rate)
         Y = np.full((n, n), np.nan)  # of a nominal schedule that does not settle in doubles
         with suppress(SolverError):
             Y = np.mean(periodic_riccati_solution(nominal), axis=0)
-        K = _coordinate_root(Y)
-        root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
-        dynamics = dynamics_of(self.plant, self.weights, eta, np.asarray(root, dtype=np.float64), graph)
-        given = None if self.P2 is None else dynamics.inside(self.P2)
-        return FamilyProgram(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.budget)
+        root = np.asarray(np.linalg.inv(_coordinate_root(Y)).T, dtype=np.float64)  # P = root root' = Y^-1
+        dynamics = dynamics_of(inner.plant, inner.weights, rate, root, graph)
+        given = None if self.P2 is None else dynamics.inside(cut_weight(inner.inside(self.P2)))
+        unit = dynamics.inside(np.diag(1.0 / inner.plant.states.scales**2))
+        return FamilyProgram(dynamics, graph, unit, given, self.budget)
 
     def least_lam(
         self, program: FamilyProgram, rtol: float, start: float = 2.0
@@ -145,7 +156,8 @@ class FamilySearch:
 
         A lambda above `worst` on the grid ends the search, and so does the budget.
         """
-        program = self.program(eta, memory)
+        graph = self.graph(memory)
+        program = self.program(eta, graph)
         lam, P, kept, record = self.least_lam(program, LAM_RTOL)
         gap = None
         for _ in range(ROUNDS):
@@ -154,8 +166,9 @@ class FamilySearch:
             edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.budget)
             claimed, nodes = self._lam_of(program, P)
             if edges.proven and nodes.proven:
-                return FamilyProposal(program.dynamics, program.graph, P, claimed, record, kept, gap)
-            gap = max(edges.failed.values(), key=lambda item: item[1])[0] if edges.failed else gap
+                return FamilyProposal(eta, graph, self.outside(program, P), claimed, record, kept, gap)
+            if edges.failed:
+                gap = self.inner.time * max(edges.failed.values(), key=lambda item: item[1])[0]
             program.gain(edges.failed, nodes.failed)
             if (edges.tight or nodes.tight) and not program.widen():
                 break
@@ -167,7 +180,14 @@ class FamilySearch:
             if renewed is None:
                 lam, renewed, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
             P = renewed
-        return FamilyProposal(program.dynamics, program.graph, None, lam, record, kept, gap)
+        return FamilyProposal(eta, graph, None, lam, record, kept, gap)
+
+    def outside(self, program: FamilyProgram, P: Array) -> Array:
+        """Matrices of the program in the plant's terms; P2 as it was given."""
+        found = np.stack([symmetrise(self.inner.outside(program.dynamics.outside(matrix))) for matrix in P])
+        if self.P2 is not None:
+            found[0] = self.P2
+        return found
 
     @staticmethod
     def _lam_of(program: FamilyProgram, P: Array) -> tuple[float, StepOutcome]:
@@ -190,7 +210,7 @@ class FamilySearch:
     def horizon(self, eta: float, memory: int) -> float:
         """ln(lam)/eta at a rate, roughly; infinite where there is nothing."""
         try:
-            lam, P, _, _ = self.least_lam(self.program(eta, memory, layers=1), COARSE_RTOL)
+            lam, P, _, _ = self.least_lam(self.program(eta, self.graph(memory, layers=1)), COARSE_RTOL)
         except CertificateError:
             return np.inf
         return np.inf if P is None else float(np.log(max(lam, 1.0)) / eta)
@@ -227,22 +247,23 @@ class FamilySearch:
         if NEAREST * own < bounds[0]:
             return None
         eta = float(np.clip(own / 2, *bounds))
-        program, canon = self.program(eta, memory, layers=1), canonical(self.plant, self.family.nominal, self.weights)
-        dynamics, graph = program.dynamics, program.graph
+        inner, graph = self.inner, self.graph(memory, layers=1)
+        program = self.program(eta, graph)
+        dynamics = program.dynamics
         with suppress(SolverError, np.linalg.LinAlgError):
-            for shape in lyapunov_shapes(canon, eta * canon.time, own * canon.time):
-                lasting = dynamics.inside(symmetrise(canon.outside(shape)))
+            for shape in lyapunov_shapes(inner, eta * inner.time, own * inner.time):
+                lasting = dynamics.inside(symmetrise(shape))
                 first = lasting if program.P2 is None else program.P2
                 least = min(1.0, 1 / float(np.max(np.linalg.eigvals(np.linalg.solve(first, lasting)).real)))
                 P = np.repeat((1 - RESOLUTION) * least * lasting[None], graph.count, axis=0)
                 P[0] = first  # the others are below it, for a first sample that comes at once
-                if proven_along(dynamics, edge_conditions(dynamics, graph, P), self.budget).proven:
+                if proven_along(dynamics, edge_conditions(dynamics, program.graph, P), self.budget).proven:
                     lam, nodes = self._lam_of(program, P)
                     if nodes.proven:
                         kept = f"{WITHOUT_GAIN} {self.noise_gain:g}, for none was proven with it"
                         how: dict[str, Plain] = {"weights": kept} if program.P2 is None else {}
                         record = SolverRecord("sampling_design", __version__, "the plant decays on its own", 0, how)
-                        return FamilyProposal(dynamics, graph, P, lam, record, 0.0, None)
+                        return FamilyProposal(eta, graph, self.outside(program, P), lam, record, 0.0, None)
         return None
 
     def best_of(
@@ -352,7 +373,7 @@ def certify_family(
 
     def decided(weights: NoiseWeights) -> FamilyCertificate:
         search = FamilySearch(plant, family, weights, given, noise_gain, limit)
-        return certified(plant, family, weights, given, search.decide(bounds, list(levels), least, report))
+        return certified(plant, family, weights, search.decide(bounds, list(levels), least, report))
 
     try:
         return decided(weights)
@@ -368,7 +389,7 @@ def certify_family(
         decaying = FamilySearch(plant, family, weights, given, noise_gain, limit).by_own_decay(bounds, levels[0])
         if decaying is not None:
             with suppress(UndecidedError):
-                return certified(plant, family, weights, given, decaying)
+                return certified(plant, family, weights, decaying)
         if told:
             raise
         raise UndecidedError(
@@ -412,16 +433,13 @@ def _refuse_too_long_gap(plant: Plant, longest: float, eta: float) -> None:
 
 
 def certified(
-    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, proposal: FamilyProposal
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, proposal: FamilyProposal
 ) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
     assert proposal.P is not None
-    P: Array = np.stack([proposal.dynamics.outside(matrix) for matrix in proposal.P]).astype(np.float64)
-    if given is not None:
-        P[0] = given
-    lam = max(proposal.lam, 1.0)
+    P, lam = proposal.P, max(proposal.lam, 1.0)
     made = FamilyCertificate(
-        plant, family, P1=(1 - RESOLUTION) * P[0] / lam, P2=P[0], **weights._asdict(), eta=proposal.dynamics.eta,
+        plant, family, P1=(1 - RESOLUTION) * P[0] / lam, P2=P[0], **weights._asdict(), eta=proposal.eta,
         lam=lam, lam_samples=lam, margin=STATED_MARGIN, solver=proposal.solver, graph=proposal.graph, P=P,
     )  # fmt: skip
     verdict = judged_while_sought(made.content, FAMILY_CLAIM, LONGEST_PROOF)

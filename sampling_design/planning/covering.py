@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy import sparse
 
-from sampling_design.planning.hidden_trajectories import HiddenTrajectory
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.search_progress import COVER, NODE, RELAXED
 from sampling_design.records.arrays import Array, Index, Mask
@@ -69,6 +69,28 @@ class SampleChoices(NamedTuple):
             unused = np.all(self.at[taken] != least[place], axis=1)
             found = np.where(unused, np.minimum(found, cost[place]), found)
         return np.asarray(found)
+
+
+class TrajectoryRows(NamedTuple):
+    """Rows of trajectories, each at an end: one of the variables that a row shows is asked for.
+
+    Where a row has an owner, the sample that ends its trajectory, it asks only if that is taken.
+    """
+
+    keys: list[Key]
+    shows: Mask  # (R, k)
+    owner: Index  # (R,): k where a row asks in any case
+
+    def undominated(self) -> list[Key]:
+        """The keys of rows that no other row implies, by showing less, or the first of those that are alike."""
+        owned = np.identity(self.shows.shape[1] + 1, dtype=bool)[self.owner, :-1]
+        literals, first = np.unique(np.hstack([self.shows, owned]), axis=0, return_index=True)
+        size, kept = literals.sum(axis=1), np.zeros(len(literals), dtype=bool)
+        for each in np.unique(size):
+            mine, less = np.flatnonzero(size == each), np.flatnonzero(kept)
+            common = literals[less].astype(np.float32) @ literals[mine].T.astype(np.float32)
+            kept[mine] = np.all(common < size[less][:, None], axis=0)
+        return [self.keys[k] for k in np.sort(first[kept]).tolist()]
 
 
 class CoveringRows:
@@ -254,6 +276,27 @@ class CoveringRows:
         shows = self.view(trajectory, level) > 0
         there = self.places[self.at] >= 0
         return np.asarray(np.sum(shows[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
+
+    def trajectory_rows(self, pool: HiddenTrajectories, level: float) -> TrajectoryRows:
+        """The rows of all trajectories of a pool that reach a level, at all their ends; none of a tangent."""
+        keys, shows, owners = list[Key](), [np.zeros((0, self.columns), dtype=bool)], [np.zeros(0, dtype=np.intp)]
+        step, which = np.nonzero(self.places >= 0)
+        for a, trajectory in enumerate(pool.trajectories):
+            if trajectory.reach < level or trajectory.response is None:
+                continue
+            ends = np.flatnonzero(pool.ends[trajectory.goal])
+            mine = np.zeros((ends.size, self.columns), dtype=bool)
+            seen = self.view(trajectory, level) > 0
+            mine[:, self.places[step, which]] = seen[(ends[:, None] - step) % self.problem.steps, which]
+            owner = np.full(ends.size, self.columns)
+            if trajectory.at_sample:  # asked for only where its end is a sample, which does not see it itself
+                owner = self.sample_of[ends]
+                asks = (owner >= 0) & ~mine[np.arange(ends.size), owner]
+                ends, mine, owner = ends[asks], mine[asks], owner[asks]
+            keys += [(a, end) for end in ends.tolist()]
+            shows.append(mine)
+            owners.append(owner)
+        return TrajectoryRows(keys, np.concatenate(shows), np.concatenate(owners))
 
     def rows(self, trajectory: HiddenTrajectory, end: int, level: float) -> list[tuple[Index, Array, float]]:
         """The row that asks for a trajectory, turned to `end` and scaled to `level`, to be seen; that for its samples.

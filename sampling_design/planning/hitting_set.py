@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.covering import TIE, CoveringRows, Key
+from sampling_design.planning.covering import TIE, CoveringRows
 from sampling_design.planning.evidence import CostProof, CostTree, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.search_progress import MEETING
@@ -56,7 +56,7 @@ def smallest_hitting_set(
     size = len(reaching) * covering.problem.steps * covering.columns
     if most < 0 or size > MOST_ENTRIES or any(pool.trajectories[a].response is None for a in reaching):
         return None
-    return _TreeSearch(covering, pool, level, below, most, reaching, work).run(undetected_at)
+    return _TreeSearch(covering, pool, level, below, most, work).run(undetected_at)
 
 
 class _TreeSearch:
@@ -69,7 +69,6 @@ class _TreeSearch:
         level: float,
         below: float,
         most: int,
-        reaching: list[int],
         work: Budget,
     ):
         self.covering, self.pool, self.level = covering, pool, level
@@ -77,19 +76,8 @@ class _TreeSearch:
         self.left, self.found, self.frame = MOST_NODES, False, covering.frame[0].shape[0]
         self.given = np.zeros(covering.columns + 1, dtype=bool)
         self.given[-1] = True  # the owner of what is asked for in any case
-        self.keys: list[Key] = []
-        steps, shows, owners = covering.problem.steps, list[Array32](), list[Index]()
-        for a in reaching:
-            trajectory = pool.trajectories[a]
-            detects = covering.view(trajectory, level)[:, 0] > 0
-            ends, owner = np.flatnonzero(pool.ends[trajectory.goal]), covering.columns
-            if trajectory.at_sample:  # asked for only where its end is a sample, which does not see it itself
-                ends = ends[(covering.sample_of[ends] >= 0) & ~detects[0]]
-            owners.append(covering.sample_of[ends] if trajectory.at_sample else np.full(ends.size, owner))
-            shows.append(detects[(ends[:, None] - covering.at[None, :]) % steps].astype(np.float32))
-            self.keys += [(a, end) for end in ends.tolist()]
-        none = np.zeros((0, covering.columns), dtype=np.float32)
-        self.shows, self.owner = np.concatenate([none, *shows]), np.concatenate([np.zeros(0, dtype=np.intp), *owners])
+        rows = covering.trajectory_rows(pool, level)
+        self.keys, self.shows, self.owner = rows.keys, rows.shows.astype(np.float32), rows.owner
 
     def run(self, undetected_at: Sequence[Mask]) -> HittingSet:
         """The search from the root."""

@@ -72,6 +72,7 @@ alone, proves it and bounds the cost."""
 COARSER = (0.25, 1.0)
 """By what share of itself, and how many seconds, a budget grows for each coarser grid that is looked at first."""
 
+MOST_REFUSED = 8  # choices judged to keep the tolerances, but not proven to, after which it is left at the margin
 ROUNDS = 60  # choices judged at one level
 WIDTH = 0.002  # relative width to which the level out of reach is found
 
@@ -277,12 +278,33 @@ class _Planning:
             if last.worst <= 1 or search.late:
                 break
             margins += tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
+        if last.worst <= 1 and not late:
+            last = self._within_margin(last)
         search.share = np.inf
         held = [*search.starts, *(chosen for chosen, _ in search.incumbents)]
         if last.worst > 1 and not search.incumbents and all(self.feasible.proven(each).worst > 1 for each in held):
             return last, False
         best = self.feasible.cheapest(held, everything)
         return best, best is last
+
+    def _within_margin(self, last: ProvenChoice) -> ProvenChoice:
+        """The cheapest choice that is proven, those that are judged between a margin and the tolerances themselves, too.
+
+        One that is not proven is refused, with all that leaves out more.
+        """
+        search = self.search
+        while search.complete and len(search.refused) < MOST_REFUSED:
+            known = len(search.incumbents)
+            search.cheapest(1 / EASED**2, ROUNDS, self.problem.cost(last.chosen))
+            if len(search.incumbents) == known:
+                break
+            for chosen, _ in search.incumbents[known:]:
+                found = self.feasible.proven(chosen)
+                if found.worst > 1:
+                    search.refused.append(chosen)
+                elif self.problem.cost(chosen) < self.problem.cost(last.chosen):
+                    last = found
+        return last
 
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance, and what no choice can do."""

@@ -17,7 +17,7 @@ from sampling_design.planning.evidence import EASED, open_choices
 from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajectories, HiddenTrajectory, weighed
 from sampling_design.planning.hitting_set import HittingSet, smallest_hitting_set
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem
-from sampling_design.planning.search_progress import WEIGHED, PlanProgress
+from sampling_design.planning.search_progress import MEETING, WEIGHED, PlanProgress
 from sampling_design.records.arrays import Array, Mask
 
 GRID = 120  # steps at which a weakly observable trajectory is kept small, about
@@ -60,6 +60,8 @@ class PlanSearch:
         """Choices that are judged before any other."""
         self.undetected_at: list[Mask] = []
         """Where a choice must measure once at least, or it hides a trajectory that never decays."""
+        self.refused: list[Mask] = []
+        """Choices that were judged to keep a level and are not proven to: neither they nor parts of them are sought."""
 
     @property
     def late(self) -> bool:
@@ -196,9 +198,15 @@ class PlanSearch:
 
         `within_limits`: any choice that the limits admit.
         """
+        if self.oracle.few:  # all rows at once: a program that lacks some is solved anew for each few that it breaks
+            rows = self.covering.trajectory_rows(self.pool, level)
+            self.oracle.work.add(MEETING, rows.shows.size)
+            tangents = [key for key in keys if self.pool.trajectories[key[0]].response is None]
+            keys[:] = tangents + rows.undominated()
         while True:
-            model = self.covering.model(self.pool.trajectories, keys, level, self.undetected_at)
-            asked = slice(first := self.covering.frame[0].shape[0], first + len(keys) + len(self.undetected_at))
+            measured_at = [*self.undetected_at, *self._beyond_refused()]
+            model = self.covering.model(self.pool.trajectories, keys, level, measured_at)
+            asked = slice(first := self.covering.frame[0].shape[0], first + len(keys) + len(measured_at))
             more = np.asarray(model.A[asked].sum(axis=0)).ravel()
             least = self.covering.grain or float(np.max(model.c, initial=model.unit))
             tie = -(1.0 if within_limits else TIE) * least * more / max(1.0, float(more.max(initial=0.0)))
@@ -220,6 +228,11 @@ class PlanSearch:
             if not fresh or self.late:
                 return chosen, False
             keys += fresh
+
+    def _beyond_refused(self) -> list[Mask]:
+        """What each choice that was refused leaves out, and each turn of it: one of that must be measured."""
+        turns = range(0, self.problem.steps, self.covering.repeats_after)
+        return [self.problem.allowed & ~np.roll(each, turn, axis=0) for each in self.refused for turn in turns]
 
     def _undetected_ends(self, chosen: Mask, level: float, keys: list[Key]) -> list[Key]:
         """Hidden trajectories and ends that a choice does not see, spread out."""
@@ -372,10 +385,13 @@ class PlanSearch:
                 break
         return chosen
 
-    def cheapest(self, level: float, rounds: int) -> None:
-        """The least cost at a level: the cheapest choices that see every trajectory, until one of them holds."""
+    def cheapest(self, level: float, rounds: int, below: float = np.inf) -> None:
+        """The least cost at a level: the cheapest choices that see every trajectory, until one of them holds.
+
+        Where a choice of the cost `below` is held already, only what is cheaper.
+        """
         keys = self.keys
-        best, fruitless = self._started(level), 0
+        best, fruitless = self._started(level) if below == np.inf else below, 0
         for _ in range(rounds):
             self.progress.say(f"{len(self.pool.trajectories)} trajectories")
             if self.late:

@@ -288,7 +288,7 @@ class _Planning:
         return best, best is last
 
     def _within_margin(self, last: ProvenChoice) -> ProvenChoice:
-        """The cheapest choice that is proven, those that are judged between a margin and the tolerances themselves, too.
+        """The cheapest choice that is proven, those judged between a margin and the tolerances themselves, too.
 
         One that is not proven is refused, with all that leaves out more.
         """

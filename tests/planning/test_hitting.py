@@ -89,6 +89,33 @@ def test_it_says_what_trying_all_choices_says(seed):
     assert proven_cost(loose, pool, again.proof) == most + 1.0
 
 
+@pytest.mark.parametrize("price", [0.0, 3.0])
+@pytest.mark.parametrize("at_sample", [False, True])
+def test_rows_that_others_imply_ask_for_nothing_more(price, at_sample):
+    problem = posed(None, sensors={"y": {"noise_bound": 0.2, "price": price}, "z": {"noise_bound": 0.3}})
+    rng, covering = np.random.default_rng(5), CoveringRows(problem, fixed=problem.is_free)
+    pool = pooled(rng, problem, 6, at_sample=at_sample)
+    rows = covering.trajectory_rows(pool, 1.0)
+    kept = rows.undominated()
+    assert covering.whole == (not price)
+    assert 0 < len(kept) < len(rows.keys)
+
+    first = covering.frame[0].shape[0]
+    programs = [(covering.model(pool.trajectories, keys, 1.0), len(keys)) for keys in (rows.keys, kept)]
+    answers = []
+    for _ in range(200):
+        share, chosen = rng.uniform(0.6, 1.0), np.zeros(problem.allowed.shape, dtype=bool)
+        chosen[:] = rng.random((STEPS, 1)) < share if covering.whole else rng.random((STEPS, 2)) < share
+        x = covering.point(chosen)
+        keeps = [bool(np.all((model.A @ x - model.b)[first : first + n] >= 0)) for model, n in programs]
+        answers.append(keeps[0])
+        assert keeps[0] == keeps[1]
+    assert 10 < sum(answers) < 190
+    clauses = [{*np.flatnonzero(s).tolist(), -1 - int(o)} for s, o in zip(rows.shows, rows.owner, strict=True)]
+    mine = [clauses[rows.keys.index(key)] - {-1 - covering.columns} for key in kept]
+    assert not any(one <= other for one in mine for other in mine if one is not other)
+
+
 def test_both_answers_are_met():
     answers = []
     for seed in range(40):

@@ -1,7 +1,8 @@
 """The cheapest plan costs what the cheapest of all choices costs, and its bound says so.
 
-Standard deviations, two sensors of different prices and a price of each visit, so that neither the number of samples
-nor that of measurements decides; by the plain filter, all choices of the grid at once.
+Two sensors of different prices and a price of each visit, so that neither the number of samples nor that of
+measurements decides. Standard deviations by the plain filter, all choices of the grid at once; guarantees by the
+accuracy of each choice that costs less.
 """
 
 from itertools import product
@@ -21,6 +22,7 @@ from tests.cases import few
 
 STEPS, QUARTERS, PERIODS, NOISE = 5, 4, 40, 0.1
 ROUNDING = 1e-6
+DEAREST = 3  # guarantees of so many choices that cost less, none part of another, are worked out
 BETWEEN = 0.02  # how much larger deviations may be between quarters of steps, or by the search's margin
 
 
@@ -84,3 +86,47 @@ def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
     pool = HiddenTrajectories(STEPS, [problem.ends(g) for g in range(len(problem.goals))])
     prover = CostProver(covering, pool, Budget(counted=True), None, grid_filter)
     assert prover.least_cost(1.0, float(costs.max())).value == least  # as much as is true, where more is asked
+
+
+def guaranteed_case(seed):
+    """A plant, its bounds, and a requirement of guaranteed tolerances that the densest schedule keeps."""
+    rng = np.random.default_rng(seed)
+    A, C = rng.standard_normal((2, 2)) * 0.6, rng.standard_normal((2, 2))
+    A -= max(0.0, float(np.linalg.eigvals(A).real.max()) - 0.05) * np.eye(2)
+    step, noise, price = rng.uniform(0.2, 0.7), rng.uniform(0.05, 0.2, 2), rng.choice([1.0, 2.0, 3.0, 5.0], 2)
+    bounds = {"w_bound": 0.1, "v_bound": noise.tolist(), "of": ["x1", "x2"]}
+    plant, times = sd.Plant(A, C), np.arange(STEPS) * step
+    dense = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule.from_times(times, STEPS * step), **bounds)
+    tolerances = dense.upper * rng.uniform(1.05, 2.5, 2)
+    sensors = {f"y{j + 1}": {"noise_bound": float(noise[j]), "price": float(price[j])} for j in range(2)}
+    requirement = sd.PlanRequirement(
+        dict(zip(("x1", "x2"), tolerances.tolist(), strict=True)),
+        period=STEPS * step,
+        grid=step,
+        w_bound=0.1,
+        visit_price=float(rng.integers(0, 3)),
+        sensors=sensors,
+    )
+    return plant, bounds, requirement, tolerances, times
+
+
+@pytest.mark.parametrize("seed", few([*range(2, 11), 32, 41, 75], 11))
+def test_a_guaranteed_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
+    plant, bounds, requirement, tolerances, times = guaranteed_case(seed)
+    plan = sd.plan_samples(plant, requirement, certificate=False, robustness=False, from_start=False)
+    assert plan.bound.cost.value == plan.cost
+    assert plan.status == "complete"
+    turns = ([np.roll(each, t, axis=0).tobytes() for t in range(STEPS)] for each in every_choice())
+    choices = np.array([each for each, turned in zip(every_choice(), turns, strict=True) if turned[0] == max(turned)])
+    cheaper = choices[[plan.problem.cost(each) < plan.cost * (1 - ROUNDING) for each in choices]]
+    joined = np.einsum("amp,bmp->ab", cheaper.astype(int), ~cheaper)  # 0: the one is part of the other
+    np.fill_diagonal(joined, 1)
+    dearest = sorted(cheaper[joined.min(axis=1, initial=1) > 0], key=plan.problem.cost, reverse=True)
+    for each in dearest[:DEAREST]:
+        at = each.any(axis=1)
+        schedule = sd.PeriodicSchedule.from_times(times[at], requirement.period, outputs=each[at])
+        try:
+            upper = sd.guaranteed_accuracy(plant, schedule, **bounds).upper
+        except sd.NotDetectableError:
+            continue
+        assert np.any(upper > tolerances)

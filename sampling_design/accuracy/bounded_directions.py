@@ -92,9 +92,14 @@ class BoundedDirections:
         keep = np.flatnonzero(bounds >= self.values * (1 - SAME))
         self.mu, self.gains = self.mu[keep], [self.gains[k] for k in keep]
 
+    @property
+    def _sizes(self) -> Array:
+        """(r,): the reach, and 1, as coordinates are, where it is endless."""
+        return np.where(np.isfinite(self.reach), self.reach, 1.0)
+
     def _units(self, mu: Array) -> Array:
         """Directions in units of the reach, of length one."""
-        scaled = mu @ self.basis * self.reach
+        scaled = mu @ self.basis * self._sizes
         size = np.linalg.norm(scaled, axis=1, keepdims=True)
         return np.asarray(scaled / np.where(size > 0, size, 1.0))
 
@@ -108,7 +113,7 @@ class BoundedDirections:
         count, directions = len(targets), len(self.gains)
         if not directions:
             return np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0))
-        scaled = [x @ self.basis * self.reach for x in (targets, self.mu)]
+        scaled = [x @ self.basis * self._sizes for x in (targets, self.mu)]
         lengths = [np.linalg.norm(x, axis=1) for x in scaled]
         unit = np.where(lengths[1] > 0, lengths[1], 1.0)
         T, U = scaled[0] / np.where(lengths[0] > 0, lengths[0], 1.0)[:, None], scaled[1] / unit[:, None]

@@ -235,9 +235,12 @@ class InitialSet:
         if self.whole:
             weights = np.linalg.solve(self.S.T, rest)
         else:
-            weights = np.linalg.lstsq(self.S.T, rest)[0] if len(self.S) else np.zeros(0)
-            if np.linalg.norm(rest - self.S.T @ weights) > NOTHING * scale:
+            sizes = np.linalg.norm(self.S, axis=1)  # what is known exactly beside what is not is far apart
+            rows = self.S / sizes[:, None]
+            weights = np.linalg.lstsq(rows.T, rest)[0] if len(rows) else np.zeros(0)
+            if np.linalg.norm(rest - rows.T @ weights) > NOTHING * scale:
                 return np.inf
+            weights = weights / sizes
         weights = weights * self.size
         return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
 

@@ -152,9 +152,22 @@ class SampledSystem:
         """The gap behind node j."""
         return self.gaps[self.sample_of(j)]
 
+    @property
+    def exact_at_start(self) -> Mask:
+        """(n,): entries of x that are known exactly at the start."""
+        return np.zeros(self.D.size, dtype=bool) if self.known is None else self.known
+
+    @cached_property
+    def exact_for_ever(self) -> Mask:
+        """(n,): those of them that neither w nor any other entry moves."""
+        still = self.exact_at_start & ~self.G.any(axis=1)
+        for _ in still:
+            still = still & ~self.A[:, ~still].any(axis=1)
+        return still
+
     def admissible_start(self, z: Array) -> Array:
         """z_0 with what is known exactly of it put right."""
-        if self.known is None or not self.known.any():
+        if not self.exact_at_start.any():
             return z
         return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
 

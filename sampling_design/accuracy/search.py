@@ -284,10 +284,10 @@ class GainSearch:
             ends = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)[panel : panel + 2]
             offset = panel + int(ends[1] > ends[0])
             high, at, peak = self._highest(found)
+            enough = max(high, found.lower * (1 + rtol * SHARE))
             if high > 0 and found.solved[at][peak] < self.back:
                 self._node(found, at, peak)
-            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and self._promising(found, j, offset, high):
-                enough = max(high, found.lower * (1 + rtol * SHARE))
+            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and self._promising(found, j, offset, enough):
                 if self._combined(found, j, offset) > enough:
                     self._node(found, j, offset, enough)
             elif not self._close(found, *((high, at, peak) if high > 0 else (top, j, offset)), rtol):
@@ -329,10 +329,10 @@ class GainSearch:
         self._refresh(found, j)
         return done
 
-    @staticmethod
-    def _promising(found: RowSearch, j: int, offset: int, high: float) -> bool:
+    def _promising(self, found: RowSearch, j: int, offset: int, enough: float) -> bool:
         """Whether gains at an offset may lower a bound there, which is not the width of its panel alone."""
-        return offset not in found.solved[j] and not ((j, offset) in found.combined and found.nodes[j][offset] <= high)
+        untried = bool(self.directions[j].gains) and (j, offset) not in found.combined
+        return offset not in found.solved[j] and (untried or float(found.nodes[j][offset]) > enough)
 
     def _combined(self, found: RowSearch, j: int, offset: int) -> float:
         """What the gains of the nearest directions prove together at an offset; no solver."""

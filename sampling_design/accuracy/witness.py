@@ -12,7 +12,7 @@ from sampling_design.accuracy.adversary_program import Adversary
 from sampling_design.accuracy.between_samples import RowBetweenSamples
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import GainSearch, RowSearch
+from sampling_design.accuracy.search import NEGLIGIBLE, GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
@@ -279,11 +279,16 @@ def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset
     measured = np.zeros((len(system.samples), system.plant.n_outputs), dtype=bool)
     for j in set(nodes):
         measured[j, system.samples[j].outputs] = True
-    states = freeze([sign * system.D * (system.L[j] @ z) for j, z in zip(nodes, adversary.z, strict=True)])
+    states = np.array([sign * system.D * (system.L[j] @ z) for j, z in zip(nodes, adversary.z, strict=True)])
+    if system.start is not None and nodes[0] == 0:  # of what is known exactly, coordinates leave rounding
+        states[0, system.exact_at_start] = states[:, system.exact_for_ever] = 0.0
+        first, unit = system.samples[0], np.abs(states[0])
+        shown = system.plant.C[first.outputs[first.exact]]  # what a solver leaves there is no rounding of C x
+        states[0] -= unit * np.linalg.lstsq(shown * unit, shown @ states[0])[0]
     w_cells, last = freeze(np.concatenate(w) if w else np.zeros((0, scale.size))), system.sample_of(adversary.sample)
     ends, value = freeze(np.concatenate(edges)), float(abs(reached) + opened.below[offset])
     return AccuracyWitness(
-        system.plant, freeze(row), ends, w_cells, freeze(samples), last, states, measured[nodes], value=value
+        system.plant, freeze(row), ends, w_cells, freeze(samples), last, freeze(states), measured[nodes], value=value
     )
 
 
@@ -315,10 +320,11 @@ def strongest_witness(
             values = np.where(sure, np.abs(opened.mu @ adversary.end) + opened.below, -1.0)
             adversaries.append((float(np.max(values)), int(np.argmax(values)), adversary))
     top = (1 - KEPT) * max(value for value, *_ in adversaries)
+    nothing = NEGLIGIBLE**2 * float(np.abs(row * finder.system.D).sum())
     ranked = sorted(adversaries, key=lambda a: (-min(a[0], top), a[2].sample))  # of equals the first
     shortest = min(ranked, key=lambda a: len(a[2].w))
     for value, offset, adversary in ranked:
-        if best is not None and best[0].value >= (1 - KEPT) * value:
+        if best is not None and (best[0].value >= (1 - KEPT) * value or value <= nothing):
             break
         if best is not None and limit.over and (best[0].value > 0 or adversary is not shortest[2]):
             continue  # where nothing was attained yet, the shortest history costs little

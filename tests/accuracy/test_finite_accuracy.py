@@ -7,6 +7,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import finite
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import ArgumentError, UndecidedError
 from tests.cases import few
@@ -306,3 +308,43 @@ def test_what_exact_sensors_show_twice_is_known_whatever_the_start(initial, nois
     late = found.profile.edges[:-1] >= times[1] - 1e-9
     assert np.all(found.profile.upper[:, late] <= 1e-5)
     assert np.all(found.upper[np.isfinite(found.upper)] <= 10.0)
+
+
+KNOWN = [(1.0, 0.1, np.inf), (1e9, 0.0, np.inf), (1e-9, 0.0, 1.0), (1e6, 0.1, 1.0)]
+
+
+@pytest.mark.parametrize(("unit", "noise", "start"), few(KNOWN, 0, 1))
+def test_an_entry_that_is_known_for_ever_is_as_good_as_left_out(unit, noise, start):
+    """x3' = -.5 x3 is 0 from the start on: both sides are those of the plant without it, in whatever units."""
+    A = np.array([[-0.3, 0.4, -0.6], [0.6, -0.9, 0.5], [0.0, 0.0, -0.5]])
+    C, G, times = np.array([[1.0, 0.3, 2.0], [0.1, 1.0, 0.5]]), np.array([[0.5], [0.3], [0.0]]), sd.Schedule([1.0, 1.6])
+    bounds, D = {"w_bound": 0.1, "v_bound": [noise, 0.1], "of": ["x1"]}, np.array([unit, 1.0, 1 / unit])
+    plant = sd.Plant(A * D[:, None] / D, C / D, G=G * D[:, None])
+    found = sd.guaranteed_accuracy(plant, times, **bounds, initial_error=np.array([np.inf, start, 0.0]) * D)
+    alone = sd.guaranteed_accuracy(
+        sd.Plant(A[:2, :2], C[:, :2], G=G[:2]), times, **bounds, initial_error=[np.inf, start]
+    )
+    assert found.upper / unit == pytest.approx(alone.upper, rel=1e-3)
+    assert found.lower / unit == pytest.approx(alone.lower, rel=1e-3)
+    assert found.known_from == pytest.approx(alone.known_from)
+    assert found.verify()
+
+
+def test_a_directions_bound_that_is_infinite_hides_no_time():
+    """What rounding leaves unbounded at a sample is unknown there: a number that is none would be left out."""
+    directions = BoundedDirections(np.eye(2), np.array([2.0, np.inf]))
+    directions.add(np.array([1.0, 0.0]), Gains(1.0, ()))
+    with np.errstate(all="raise"):
+        bounds = directions.bound(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    assert bounds.tolist() == [1.0, np.inf, np.inf]
+
+
+def test_a_search_ends_where_only_what_nobody_sought_is_left():
+    """Nothing drives x2 and x3, which are known: what is left of their bounds is the width of panels."""
+    A = [[-0.985, -1.366, -1.072], [0.0, 0.565, -0.376], [0.0, -1.341, -0.859]]
+    plant = sd.Plant(A, [[-1.223, 0.183, -1.213]], G=np.zeros((3, 1)))
+    schedule = sd.Schedule([0.83, 1.7, 2.27, 3.25, 3.58, 4.26])
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": [np.inf, 0.0, 0.0]}
+    found = sd.guaranteed_accuracy(plant, schedule, of=["x2", "x3"], budget=60.0, **bounds)
+    assert np.all(found.closed)
+    assert np.all(found.upper <= 1e-7)

@@ -14,7 +14,13 @@ from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import MathematicsError, SolverError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import EstimateRecord, Estimator, GuaranteeWarning, estimate_from
+from sampling_design.estimators.online.estimator import (
+    EstimateRecord,
+    Estimator,
+    GuaranteeWarning,
+    answering,
+    estimate_from,
+)
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series
 from sampling_design.estimators.records.measurements import Measurements, read_measurements
@@ -82,9 +88,13 @@ def estimate(
     taken, origin = listed(record, plant)
     samples = [triple(item) for item in taken]
     begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
-    estimator.start(begin, checks.number("prior_time", prior_time))
-    results = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
-    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in results], origin)
+    with answering(estimator):
+        estimator.start(begin.copy(), checks.number("prior_time", prior_time))
+        found = [
+            estimate_from(estimator.update(s.t, s.y, s.u), time_or_span(s.t)[0], n)  # type: ignore[arg-type]  # as it came
+            for s in samples
+        ]
+    return EstimateRecord.collect(plant, found, origin)
 
 
 GAPS_IN_HORIZON = 10  # longest gaps in the horizon of an estimator that has no certificate

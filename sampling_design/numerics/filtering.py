@@ -148,7 +148,7 @@ def inverse_root(Y: Array) -> Array:
 def floored(correlations: Array) -> Array:
     """Return Z with Z'Z their inverse, eigenvalues below n eps of the largest counted as that."""
     values, vectors = np.linalg.eigh(correlations)
-    return np.asarray(vectors.T / np.sqrt(np.maximum(values, len(values) * EPS * values[-1]))[:, None])
+    return np.asarray(vectors.T / np.sqrt(np.maximum(values, max(len(values) * EPS * values[-1], TINY)))[:, None])
 
 
 def inverse_of_root(root: Array) -> Array:

@@ -47,8 +47,10 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
     label = result.rows.labels()[k]
     one.set_ylabel(f"error of\n{label}")
     begun, ended = profile.edges[0], profile.edges[-1]
-    endless = result.question.initial is None  # what is known with results out begins later than the samples
-    for t in profile.samples + endless * (ended - begun) * np.ceil((begun - profile.samples) / (ended - begun)):
+    shown = profile.samples
+    if result.question.initial is None:  # what is known with results out begins later than the samples
+        shown = shown + (ended - begun) * np.ceil((begun - shown) / (ended - begun))
+    for t in shown:
         one.axvline(t, color=style.ALLOWED, linewidth=0.8, zorder=0)
     if tolerance is not None:
         one.axhline(tolerance, color=style.FAILED, linewidth=1.0, linestyle=":", label="tolerance")

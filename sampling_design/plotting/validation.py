@@ -84,6 +84,7 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         return _times(log, style.new_axes(height=2.0), low, high)
     _, (top, bottom) = style.new_figure(2, ratios=(1.0, 1.4))
     _times(log, top, low, high)
+    highest = 0.0
     for sigma, colour, width, name in (
         (log.planned_sigma, style.ALLOWED, 3.5, "planned"),
         (log.actual_sigma, style.MEASURED, 1.3, "actual"),
@@ -92,7 +93,8 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         in_view = (low <= profile.t) & (profile.t <= high)
         curve = style.by_pieces(profile.t[in_view], profile.sigma[in_view], profile.piece[in_view])
         bottom.plot(*curve, color=colour, linewidth=width, label=label)
-    style.from_below(bottom, 0.0, bottom.get_ylim()[1] / 1.08)
+        highest = float(profile.sigma[in_view].max(initial=highest))
+    style.from_below(bottom, 0.0, highest)
     style.time_axis(bottom, log.time_unit, "end of the window")
     bottom.set_ylabel(style.sigma_label(log.planned_sigma.coordinates))
     style.legend(bottom)

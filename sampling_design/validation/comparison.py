@@ -15,7 +15,7 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import Estimator
+from sampling_design.estimators.online.estimator import Estimator, answering
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -185,7 +185,7 @@ def _study_estimates(
     progress: Progress | None,
 ) -> ValidationReport:
     """Run one estimator under the scenarios that need nothing but its estimates; say of the others that they do."""
-    found, error_curves, start = list[ClaimCheck](), list[ErrorCurve](), np.zeros(line.plant.n_states)
+    found, error_curves = list[ClaimCheck](), list[ErrorCurve]()
     inputs: dict[str, Callable[[], ErrorSources]] = {
         "random": lambda: draw_inputs(line, bounds, seeds),
         "resonant": lambda: resonant_inputs(line, bounds)[0],
@@ -203,8 +203,10 @@ def _study_estimates(
             progress(k / len(known), name)
         drawn, runs = inputs[name](), list[EstimatedRun]()
         for run in range(len(drawn.e0)):
-            estimator.start(start, 0.0)
-            runs.append(real_run(line, true_run(line, drawn, run, steered=False), estimator))
+            truth = true_run(line, drawn, run, steered=False)
+            with answering(estimator):
+                estimator.start(np.zeros(line.plant.n_states), 0.0)
+                runs.append(real_run(line, truth, estimator))
         size = np.linalg.norm([run.errors / line.plant.states.scales for run in runs], axis=2)
         error_curves.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
         if name in GROWTH_LIMIT and settles:

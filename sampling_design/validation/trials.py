@@ -56,8 +56,8 @@ class EstimatedRun(NamedTuple):
 
     @property
     def certified(self) -> Mask:
-        """Which estimates say that their ellipsoid is proven, (R,)."""
-        return np.array([e.certified for e in self.estimates])
+        """Which estimates say that their ellipsoid is proven, (R,); one without an end says nothing."""
+        return np.array([bool(e.certified and e.radius != np.inf) for e in self.estimates])
 
 
 def _ratio(estimate: Estimate, truth: Array, rounding: Array) -> float:

@@ -268,6 +268,13 @@ def test_the_axis_begins_below_the_curve_and_not_far_from_it():
     assert np.nanmin(curve) < low + 0.75 * (high - low)
 
 
+def test_a_schedule_of_one_sample_has_its_line_in_a_picture_of_accuracy():
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    found = sd.guaranteed_accuracy(OSCILLATOR, sd.Schedule([1.0], time_unit=OSCILLATOR.time_unit), **bounds)
+    for ax in found.plot():
+        assert [1.0, 1.0] in [list(line.get_xdata()) for line in ax.lines]
+
+
 def test_dates_are_written_where_the_time_of_zero_is_known():
     made = {"time_unit": "h", "origin": "2026-03-02T08:00:00+00:00"}
     ax = sd.Schedule([0.0, 24.0, 60.0], **made).plot()

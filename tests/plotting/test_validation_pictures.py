@@ -110,6 +110,10 @@ def test_a_log_shows_both_rows_of_times_and_both_sigmas():
     assert np.nanmin(drawn) >= 0.0
     labels = [t.get_text() for t in bottom.get_legend().get_texts()]
     assert labels[1] == f"actual: at least {below(log.actual_sigma.lower, 4)}"
+    calm = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]])
+    late = sd.compare_schedule(calm, sd.Schedule(np.arange(6.0)), np.arange(6.0) + 0.1, window=2.0)
+    even = late.plot()[1]  # of sigmas that hardly move, too, the highest lies below the frame
+    assert even.get_ylim()[1] > 1.05 * max(np.nanmax(line.get_ydata()) for line in even.lines)
     short = sd.compare_schedule(PLANT, sd.PeriodicSchedule([1.0]), [1.0, 2.0], window=9.0)
     assert short.plot().get_xlabel() == "time [s]"
 

@@ -194,6 +194,86 @@ def test_a_radius_that_does_not_hold_is_found_out(pendulum):
     assert [finding.claim for finding in report.broken] == ["online ellipsoid"]
 
 
+class Changing(Luenberger):
+    """One that keeps its state where it was handed to it, and hands that out."""
+
+    def start(self, prior: Any, prior_time: float = 0.0) -> None:
+        super().start(prior, prior_time)
+        self.kept = self.x = np.asarray(prior)
+
+    def update(self, t: float, y: Any, u: Any = None) -> Any:
+        self.kept[:] = super().update(t, y, u)
+        self.x = self.kept
+        return self.kept
+
+
+def test_an_estimator_that_changes_its_state_in_place_is_the_same_estimator(pendulum):
+    plant, schedule = pendulum.linear, sd.PeriodicSchedule([0.3, 0.4])
+    record = [(t, [np.cos(t)]) for t in schedule.between(0.0, 5.0).times.tolist()]
+    own, other = Luenberger(plant, GAIN), Changing(plant, GAIN)
+    assert np.array_equal(*(estimate(pendulum, record, each, prior=[1.0, 0.0]).x for each in (own, other)))
+    curves = [
+        sd.validate(pendulum, schedule, estimator=each, runs=2, duration=3.0).error_curves for each in (own, other)
+    ]
+    for one, same in zip(*curves, strict=True):
+        assert np.array_equal(one.largest, same.largest)
+
+
+def answers(**entries: Any) -> Any:
+    """An `update` that returns an estimate with these entries of its own."""
+
+    def update(self: Any, t: float, y: Any, u: Any = None) -> Any:
+        x = Luenberger.update(self, t, y, u)
+        whole = {"t": t, "x": x, "covariance": np.eye(2), "radius": 100.0, "certified": True}
+        return sd.estimators.Estimate(**(whole | entries))
+
+    return update
+
+
+@pytest.mark.parametrize(
+    ("update", "words"),
+    [
+        (lambda self, t, y, u=None: {}["gain"], "must answer without an error, got of Broken KeyError: 'gain'"),
+        (lambda self, t, y, u=None: 1 / 0, "must answer without an error, got of Broken ZeroDivisionError"),
+        (lambda self, t, y, u=None: np.full(2, np.nan), r"`estimate` must be finite, got estimate\[0\] = nan"),
+        (answers(x=np.zeros(3)), r"`estimate\.x` must be an array of shape \(2,\), got \(3,\)"),
+        (answers(x=[0.0, 0.0]), r"`estimate\.x` must be an array of shape \(2,\), got list"),
+        (answers(covariance=np.eye(1)), r"`estimate\.covariance` must be an array of shape \(2, 2\), got \(1, 1\)"),
+        (answers(covariance=np.array([[1.0, 50.0], [0.0, 1.0]])), r"`estimate\.covariance` must be symmetric"),
+        (answers(t=0.1), "must be of the time that was asked for, .*, got t = 0.1"),
+        (answers(certified="yes"), r"`estimate\.certified` must be true or false, got str 'yes'"),
+    ],
+)
+def test_an_estimator_that_answers_nonsense_is_refused_in_a_sentence(pendulum, update, words):
+    broken = type("Broken", (Luenberger,), {"update": update})(pendulum.linear, GAIN)
+    with pytest.raises(ArgumentError, match=words):
+        sd.validate(pendulum, sd.PeriodicSchedule([0.3]), estimator=broken, runs=1, duration=1.0, scenarios=["random"])
+    with pytest.raises(ArgumentError, match=words):
+        estimate(pendulum, [(0.3, [1.0])], broken)
+
+
+@pytest.mark.parametrize(
+    ("entries", "verdicts"),
+    [
+        ({"radius": np.inf}, []),
+        ({"radius": np.nan}, ["NOT CHECKED"]),
+        ({"radius": -1.0}, ["BROKEN"]),
+        ({"radius": 0.0}, ["BROKEN"]),
+        ({"x": np.array([np.nan, 0.0])}, ["NOT CHECKED"]),
+        ({"x": np.array([np.inf, 0.0])}, ["BROKEN"]),
+        ({"covariance": np.zeros((2, 2))}, ["BROKEN"]),
+        ({"covariance": -np.eye(2)}, ["BROKEN"]),
+        ({"covariance": np.full((2, 2), np.nan)}, ["NOT CHECKED"]),
+        ({}, ["held"]),
+    ],
+)
+def test_an_ellipsoid_that_says_nothing_is_never_counted_as_one_that_held(pendulum, entries, verdicts):
+    said = type("Said", (Luenberger,), {"update": answers(**entries)})(pendulum.linear, GAIN)
+    options = {"runs": 1, "duration": 1.0, "scenarios": ["random"]}
+    report = sd.validate(pendulum, sd.PeriodicSchedule([0.3]), estimator=said, **options)
+    assert [finding.verdict for finding in report.checks] == verdicts
+
+
 def test_the_estimators_of_the_package_are_validated_by_their_methods_alone(pendulum):
     bounds = {"w_bound": 0.1, "v_bound": 0.05, "initial_error": 0.5}
     kalman = sd.KalmanFilter(pendulum.linear, **bounds)

@@ -282,8 +282,10 @@ class Estimate(PlainRecord):
             return np.nan
         if self.radius == np.inf or not off.any():
             return 0.0
-        size = math.hypot(*self._half.dot(off).tolist())
-        return (size / math.sqrt(self.radius)) ** 2 if self.radius > 0 else np.inf
+        if self.radius <= 0:
+            return np.inf
+        size = math.hypot(*self._half.dot(off).tolist()) / math.sqrt(self.radius)
+        return size * size  # a power would refuse what no double holds
 
     def _moment(self) -> str:
         return moment(self.t)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -11,7 +12,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError
+from sampling_design.checkers.strict import is_flag
+from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.estimators.online.estimate import FAILURES, MOVED, Contradiction, Estimate, Status, half_widths
 from sampling_design.estimators.records.measurement_table import MeasuredPlant, dates_of, time_or_date
 from sampling_design.plants.plant import Plant
@@ -285,12 +287,41 @@ class Estimator(Protocol):
         ...
 
 
+SYMMETRIC = 1e-12  # of the largest entry of a covariance, what mirrored entries may differ by
+
+
+@contextmanager
+def answering(estimator: Estimator) -> Iterator[None]:
+    """Say of an error whose it is: raises ArgumentError from one of an estimator that the package has not worded."""
+    try:
+        yield
+    except (SamplingDesignError, MemoryError):
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        who = type(estimator).__name__
+        raise ArgumentError(f"`estimator` must answer without an error, got of {who} {said}.") from error
+
+
 def estimate_from(found: Estimate | npt.ArrayLike, t: float, n: int) -> Estimate:
     """Return what an estimator returned as an estimate: of a state alone nothing is proven, and its radius is infinite.
 
-    Raises ArgumentError if it is no state of `n` entries.
+    Raises ArgumentError if it is no state of `n` entries, or an estimate of another time or size or with a covariance
+    that is not symmetric.
     """
-    if isinstance(found, Estimate):
-        return found
-    x = checks.vector("estimate", found, n)
-    return Estimate(t, x, freeze(np.eye(n)), note="The estimator says nothing of its error.")
+    if not isinstance(found, Estimate):
+        x = checks.vector("estimate", found, n)
+        return Estimate(t, x, freeze(np.eye(n)), note="The estimator says nothing of its error.")
+    if found.t != t:
+        raise ArgumentError(f"`estimate` must be of the time that was asked for, {t!r}, got t = {found.t!r}.")
+    if not is_flag(found.certified):
+        raise ArgumentError(f"`estimate.certified` must be true or false, got {checks.described(found.certified)}.")
+    for key, shape in (("x", (n,)), ("covariance", (n, n))):
+        value = getattr(found, key)
+        if getattr(value, "shape", None) != shape:
+            got = getattr(value, "shape", None) or checks.described(value)
+            raise ArgumentError(f"`estimate.{key}` must be an array of shape {shape}, got {got}.")
+    Y = found.covariance
+    if found.certified and np.abs(Y - Y.T).max() > SYMMETRIC * np.abs(Y).max():
+        raise ArgumentError("`estimate.covariance` must be symmetric.")
+    return found

@@ -279,14 +279,14 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
 
     Raises ArgumentError if it is something else or has another dimension.
     """
-    chosen = set_like(name, value)
-    if chosen is None:
-        return None
-    if isinstance(chosen, ConvexSet):
-        found = chosen
-    else:
-        lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in chosen)
-        found = ConvexSet.box(lower, upper)
+    match set_like(name, value):
+        case None:
+            return None
+        case ConvexSet() as found:
+            pass
+        case sides:
+            lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
+            found = ConvexSet.box(lower, upper)
     if found.dimension != dimension:
         raise ArgumentError(f"`{name}` must have dimension {dimension}, got {found.dimension}.")
     return found

@@ -11,6 +11,7 @@ import sampling_design as sd
 from sampling_design.checkers.check import verdict
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
+from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import from_json, from_toml, has_cells, read_text
 from sampling_design.schedules.files import MARK
@@ -192,6 +193,11 @@ def check_origins(record: Measurements, schedule: AnySchedule) -> None:
             f"`SCHEDULE` has its time 0 at {schedule.origin} and `MEASUREMENTS` hold times without dates: "
             "give the file a column `date`, or the schedule no origin."
         )
+    if schedule.origin is not None and (first := float(record.times.min(initial=0.0))) < 0:
+        begins = time_or_date(record.origin, first, record.plant.time_unit)
+        raise ArgumentError(
+            f"`MEASUREMENTS` begin at {begins}, before time 0 of `SCHEDULE` at {schedule.origin}. Is it the right year?"
+        )
 
 
 def check_measured(record: Measurements, path: Path) -> None:
@@ -269,8 +275,6 @@ def kind_of(path: Path) -> str:
     except SamplingDesignError:
         first = next((line for line in text.splitlines() if has_cells(line)), "")
         cells = {cell.strip() for cell in re.split("[,;\t]", first)}
-        if cells >= {"time", "date"}:
-            return "calendar"
         if "certified" in cells:
             return "estimate"
         return "measurement" if len(cells) > 1 and cells & {"time", "date"} else ""

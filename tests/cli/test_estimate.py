@@ -311,9 +311,12 @@ def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, 
     data = dated(tmp_path / "data.csv")
     plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
     with_origin = sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
+    early = tmp_path / "early.csv"
+    early.write_text(data.read_text().replace("2026-", "2025-"))
     for path, readings, words in (
         (schedule, data, "`SCHEDULE` does not say which date its time 0 is"),
         (with_origin, write_readings(tmp_path / "plain.csv"), "`MEASUREMENTS` hold times without dates"),
+        (with_origin, early, "before time 0 of `SCHEDULE` at 2026-01-05T00:00:00+00:00. Is it the right year?"),
     ):
         given = [path, readings] if command == "compare" else [readings, "--schedule", path]
         result = shell(command, OSCILLATOR, *given)

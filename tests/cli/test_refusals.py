@@ -71,7 +71,6 @@ def test_files_in_the_wrong_place_are_named_as_what_they_are(shell, arguments, w
 
 WRONG = {
     "schedule.ics": ("BEGIN:VCALENDAR\n", "is a calendar"),
-    "calendar.csv": ("date,time,y\n2026-03-02,1,1\n", "is a calendar"),
     "design.png": ("", "is a picture"),
     "sheet.html": ("<!DOCTYPE html>\n", "is a web page"),
     "constants.md": ("| constant |\n", "is a document"),

@@ -72,6 +72,11 @@ class NonlinearStart(NamedTuple):
     prior: bool
 
 
+def counts(sample: RecordRow, counted: float) -> bool:
+    """Whether the proof takes a sample, the last one that it took being at `counted`: one at the prior's time, too."""
+    return counted == sample.t and sample.y is not None and bool(np.isfinite(sample.y).all())
+
+
 class NonlinearMovingHorizonEstimator(OnlineEstimator):
     """Moving horizon estimation of a nonlinear plant from rare, irregular samples.
 
@@ -272,7 +277,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             note = (
                 f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {rejected_note}".strip()
             )
-            if counted == sample.t and self.error_bound is not None:
+            if counts(taken, counted) and self.error_bound is not None:
                 counted = state.last.counted  # nothing was learned from it
             return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
         self._latest = data, answer
@@ -284,7 +289,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 f"The discretisation costs {answer.error:.2g} standard deviations of the estimate, also with degree "
                 f"{self.search.degree} and pieces of {self.search.w_step:.3g}: choose a shorter horizon or w_step."
             )
-        square = self._bound(data, answer, start, counted == sample.t)
+        square = self._bound(data, answer, start, counts(taken, counted))
         note = " ".join(filter(None, (*words, rejected_note)))
         return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
@@ -319,7 +324,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         note = f"Left out as an outlier: {names} (beyond {gate:.3g} standard deviations of the prediction)."
         return sample._replace(y=freeze(np.where(far, np.nan, sample.y))), note
 
-    def _bound(self, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool) -> float:
+    def _bound(self, data: WindowData, answer: WindowAnswer, start: NonlinearStart, last_counts: bool) -> float:
         """Return the bound on V at the window's end, after the fact."""
         error_bound, solution = self.error_bound, answer.solution
         if error_bound is None or error_bound.trouble or answer.slopes is None:
@@ -334,7 +339,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             jumps = self.search.jumps(data, solution)
         if not np.isfinite(jumps).all():
             return float("inf")
-        taken = {node.t for node in start.inside if node.counted == node.t} | ({data.edges[-1]} if counts else set())
+        taken = {node.t for node in start.inside if counts(node.sample, node.counted)}
+        taken |= {data.edges[-1]} if last_counts else set()
         counted = np.array([t in taken for t in data.edges.tolist()])
         scale = self.plant.signals["outputs"].scales
         misfit = np.where(data.mask > 0, data.y - answer.slopes.outputs, 0.0) * scale
@@ -350,7 +356,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self, state: EstimatorState, sample: RecordRow, counted: float
     ) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
-        start = self._start(state, sample.t, counted)
+        start = self._start(state, sample, counted)
         rows = {node.t: (node.y, node.mask) for node in start.inside}
         measured = np.isfinite(sample.y)
         if sample.t > start.t or start.closed:
@@ -372,23 +378,24 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         )
         return data, self.search.guess(edges, self._path(state, edges, start.x) / self._scale), start
 
-    def _start(self, state: EstimatorState, t: float, counted: float) -> NonlinearStart:
+    def _start(self, state: EstimatorState, sample: RecordRow, counted: float) -> NonlinearStart:
         """Return where the window begins, the online estimate there, what it weighs, and the samples in it.
 
         P(tau) of a prior counts from where the first sample that counts asks for it, and without one from where it will
         at the window's end: `counted`.
         """
-        nodes, s = state.nodes, t - self.horizon
+        nodes, t = state.nodes, sample.t
+        s = t - self.horizon
         slack = SAME_TIME * max(abs(t), self.horizon)
         fixed: Array = np.asarray(np.linalg.cholesky(self.scaled.twice * self.scaled.P2).T, dtype=np.float64)
         if nodes[0].sample.y is None and s <= nodes[0].t + slack:
             first = nodes[0]
-            last = self._last_before(first, nodes[1:], t, counted)
+            last = self._last_before(first, nodes[1:], sample, counted)
             root = fixed if self.error_bound is None else self._arrival_weight(first.t, last)
             return NonlinearStart(first.t, first.x, self.loop.begun(first, last), last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
-        last = self._last_before(node, nodes[anchor + 1 :], t, counted)
+        last = self._last_before(node, nodes[anchor + 1 :], sample, counted)
         at, x, Y, square = node.t, node.x, node.Y, self.loop.begun(node, last)
         at_node = self.begins == "sample" or abs(at - s) <= slack
         closed = self.closed and at_node and node.sample.y is not None
@@ -402,11 +409,12 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             root = self._information(Y, fixed)
         return NonlinearStart(at, x, square, last, root, nodes[anchor if closed else anchor + 1 :], closed, False)
 
-    def _last_before(self, node: HistoryNode, later: Sequence[HistoryNode], t: float, counted: float) -> float:
+    def _last_before(self, node: HistoryNode, later: Sequence[HistoryNode], sample: RecordRow, counted: float) -> float:
         """When the last sample that counts was, as a window that begins at or after a node takes it."""
         if node.sample.y is not None:
             return node.counted
-        taken = next((each.t for each in later if each.counted == each.t), t if counted == t else None)
+        own = sample.t if counts(sample, counted) else None
+        taken = next((each.t for each in later if counts(each.sample, each.counted)), own)
         return counted if taken is None else self.loop.since(node, taken)
 
     def _arrival_weight(self, t: float, last: float) -> Array:

@@ -200,6 +200,25 @@ def test_before_any_sample_counts_a_prior_is_weighed_as_what_is_made_of_it(first
     assert max(ratios) > 0.5
 
 
+def test_a_sample_of_one_output_alone_does_not_count_at_the_time_of_the_prior_either():
+    """Where the least certified gap may be thought to lie before it: the error along the other output has its bound."""
+    A = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    plant = from_linear(Plant(A, np.eye(2), G=np.zeros((2, 1)))).with_bounds(disturbances=(0, 0), noises=(0, 0))
+    made = certify_inclusion(plant, GapRange(1.0, 1.5), eta=0.1, pieces=3)
+    with pytest.warns(GuaranteeWarning, match="the horizon 0.5 must exceed"):
+        estimator = NonlinearMovingHorizonEstimator(
+            plant, made, initial_error=1.0, horizon=0.5, collocation=Collocation(0.5, 2, capacity=8)
+        )
+    estimator.start()
+    at = estimator.update(0.0, [0.0, np.nan])
+    ahead = estimator.predict(0.7)
+    ratios = [at.ratio([0.0, 1.0]), ahead.ratio(np.array([np.sin(0.7), np.cos(0.7)]))]
+    assert at.certified
+    assert ahead.certified
+    assert max(ratios) <= 1.0
+    assert min(ratios) > 0.99
+
+
 def test_samples_that_come_too_early_do_no_harm():
     estimator = scheme()
     estimator.start([0.6, 0.0])

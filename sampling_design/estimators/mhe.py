@@ -253,17 +253,18 @@ class MovingHorizonEstimator(WindowedEstimator):
             limited = self.constraints.active or window.limits is not None
             return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what overflows is looked at
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         t = sample.t
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            start = self._start(state, t)
-            new = self._limited(self._incoming(state, sample))
-            scheduled = self.claim.fits(state, t, new.mask)
-            free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
-            solved = self._slid_window(state, start, new) if free else None
+        start = self._start(state, t)
+        new = self._limited(self._incoming(state, sample))
+        scheduled = self.claim.fits(state, t, new.mask)
+        free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
+        solved = self._slid_window(state, start, new) if free else None
         if solved is None:
             solved = self._solved(state, start, new)
-        solved.x.flags.writeable = solved.Y.flags.writeable = False
+        solved.x.setflags(write=False)
+        solved.Y.setflags(write=False)
         node = self.recorder.node(state, new, solved, start.s, scheduled)
         self._histories.keep(node)
         return node

@@ -319,7 +319,7 @@ class WindowedEstimator(OnlineEstimator):
                 if points is None or not all_inside(self.constraints.x, points):
                     return None
         terms = scaled_bound(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
-        terms += rounding(optimum.read, optimum.held) + optimum.energy
+        terms += rounding(optimum.size) + optimum.energy
         verdict = judged(self.weights, terms, optimum.dual, nodes[-1])
         if verdict.status == "bounds disproved" and nodes[-1].stands:
             return None

@@ -188,21 +188,9 @@ class NonlinearLoop:
         mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
         nothing = np.zeros(0)
         return HistoryNode(
-            t=sample.t,
-            y=y,
-            mask=mask,
-            feedthrough=nothing,
-            x=x,
-            Y=Y,
-            beta=square,
-            flow=None,
-            drift=nothing,
-            scheduled=scheduled,
-            sound=True,
-            estimate=estimate,
-            sample=sample,
-            counted=counted,
-        )
+            t=sample.t, sample=sample, y=y, mask=mask, feedthrough=nothing, flow=None, drift=nothing, limits=None,
+            x=x, Y=Y, beta=square, scheduled=scheduled, sound=True, estimate=estimate, counted=counted,
+        )  # fmt: skip
 
     def estimate(
         self,

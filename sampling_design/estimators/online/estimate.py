@@ -313,24 +313,22 @@ class Estimate(PlainRecord):
         return least if least != above(self.radii) else ""
 
 
-def estimate_of(**entries: object) -> Estimate:
-    """Return the estimate of entries that are right as they are; those not given have their defaults."""
+def estimate_of(entries: dict[str, object]) -> Estimate:
+    """Return the estimate of entries that are right as they are and its own; those not given have their defaults."""
     found = object.__new__(Estimate)
-    found.__dict__.update(entries)  # what is missing is the class's own
+    object.__setattr__(found, "__dict__", entries)  # what is missing is the class's own
     return found
 
 
 def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
     """Return an estimate with what its interval is proven from."""
-    found = object.__new__(Estimate)
-    entries = found.__dict__
-    entries.update(estimate.__dict__, proof=proof)
+    entries = {**estimate.__dict__, "proof": proof}
     if "radii" in entries or "_of_states" in entries:
         for kept in ("radii", "_of_states"):
             entries.pop(kept, None)
     if proof is not None:
         _disprove(entries, proof)
-    return found
+    return estimate_of(entries)
 
 
 def _disprove(entries: dict[str, object], proof: ProvesIntervals) -> None:

@@ -94,35 +94,35 @@ class IncomingNode(NamedTuple):
 class HistoryNode(NamedTuple):
     """A processed sample: a snapshot from which everything later can be computed again.
 
-    `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
-    on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
-    the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
-    `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
-    left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off;
-    `branch` knows what intervals have proven of the samples up to here; `box` holds the state where nothing else does,
-    by readings of uncertain times that came later; its own rest on samples `until` then.
+    It begins as the `IncomingNode` that it was. `flow` and `drift` lead from the node before to this one; `scheduled`
+    says that everything up to here was on schedule, `sound` that no assumption was contradicted up to here; `y` is 0
+    where `mask` is 0; `number` counts the samples, 0 is the prior; `counted` is when a sample last counted for the
+    proof of a nonlinear estimator, `limited` when one last had limits or means; `held` is the square of x in units of
+    what is known of it, with what is left of those before, for the rounding of what follows; `loose` is how far the
+    gaps' information may be off; `branch` knows what intervals have proven of the samples up to here; `box` holds the
+    state where nothing else does, by readings of uncertain times that came later; its own rest on samples `until` then.
     """
 
     t: float
+    sample: RecordRow
     y: Array
     mask: Array
     feedthrough: Array
+    flow: GapFlow | None
+    drift: Array
+    limits: Array | None
     x: Array
     Y: Array
     beta: float
-    flow: GapFlow | None
-    drift: Array
     scheduled: bool
     sound: bool
     estimate: Estimate
-    sample: RecordRow
     number: int = 0
-    limits: Array | None = None
-    counted: float = np.nan
-    limited: float = -np.inf
     held: float = 0.0
     loose: float = 0.0
+    limited: float = -np.inf
     branch: SampleBranch | None = None
+    counted: float = np.nan
     box: StateBox | None = None
     until: float = -np.inf
 
@@ -290,9 +290,11 @@ class EstimatorState(NamedTuple):
 
     def trimmed(self, memory: float, least: int = 0) -> EstimatorState:
         """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
-        nodes, inputs = self.nodes, self.inputs
-        first = min(self.node_before(nodes[-1].t - memory), len(nodes) - 1 - least)
-        if first <= 0:
+        nodes, inputs, first = self.nodes, self.inputs, 0
+        oldest, most = nodes[-1].t - memory, len(nodes) - 1 - least
+        while first < most and nodes[first + 1].t <= oldest:  # most often one
+            first += 1
+        if not first:
             return self
         nodes = nodes[first:]
         if inputs is NO_INPUTS:

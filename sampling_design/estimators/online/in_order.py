@@ -254,7 +254,7 @@ class OnlineEstimator(Displayable, ABC):
                     f"`y` must measure at least one output, got all NaN at t = {t!r}. "
                     "Was the sample lost? Leave it out, or pass y=None if only the input changes."
                 )
-        y.flags.writeable = False
+        y.setflags(write=False)
         return y
 
     def update(self, t: float | tuple[float, float], y: object = None, u: object = None) -> Estimate:

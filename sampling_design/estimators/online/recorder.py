@@ -59,8 +59,9 @@ class Recorder:
         Y, zero, scheduled = freeze(root @ root.T), np.zeros(self.loop.weights.plant.n_outputs), self.claim.stands
         estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
         return HistoryNode(
-            t=t, y=zero, mask=zero, feedthrough=zero, x=x, Y=Y, beta=energy, flow=None, drift=np.zeros(x.size),
-            scheduled=scheduled, sound=True, estimate=estimate, sample=RecordRow(t), branch=SampleBranch(),
+            t=t, sample=RecordRow(t), y=zero, mask=zero, feedthrough=zero, flow=None, drift=np.zeros(x.size),
+            limits=None, x=x, Y=Y, beta=energy, scheduled=scheduled, sound=True, estimate=estimate,
+            branch=SampleBranch(),
         )  # fmt: skip
 
     def estimate(
@@ -93,10 +94,11 @@ class Recorder:
             note = f"{note} No radius: {broken if not sound else 'it overflows.'}"
         if not scheduled:
             note = f"{note} {self.claim.note or OFF_SCHEDULE}"
-        return estimate_of(
-            t=t, x=x, covariance=Y, radius=beta, status=status, certified=certified, on_schedule=scheduled,
-            note=note.strip(), contradiction=contradiction, engine=engine, window_start=window_start, cost=cost,
-        )  # fmt: skip
+        return estimate_of({
+            "t": t, "x": x, "covariance": Y, "radius": beta, "status": status, "certified": certified,
+            "on_schedule": scheduled, "note": note.strip(), "contradiction": contradiction, "engine": engine,
+            "window_start": window_start, "cost": cost,
+        })  # fmt: skip
 
     def node(
         self, state: EstimatorState, new: IncomingNode, solved: SolvedSample, start: float, scheduled: bool = False
@@ -115,11 +117,8 @@ class Recorder:
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)
-        return HistoryNode(
-            t=new.t, y=new.y, mask=new.mask, feedthrough=new.feedthrough, x=x, Y=Y, beta=beta, flow=flow, drift=drift,
-            scheduled=scheduled, sound=sound, estimate=estimate, sample=new.sample, number=last.number + 1,
-            limits=new.limits, limited=limited, held=size, loose=loose, branch=branch,
-        )  # fmt: skip
+        number = last.number + 1
+        return HistoryNode(*new, x, Y, beta, scheduled, sound, estimate, number, size, loose, limited, branch)
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
         """Return the estimate at t, open loop from the node with the number `at`."""
@@ -152,5 +151,4 @@ class Recorder:
 
 def _is_finite(Y: Array) -> bool:
     """Whether all entries of a covariance are finite: most often one sum tells."""
-    # `vdot` says nothing of squares that overflow; `dot` does
-    return math.isfinite(np.vdot(Y, Y)) or bool(np.isfinite(Y).all())
+    return math.isfinite(sum(Y.ravel().tolist())) or bool(np.isfinite(Y).all())

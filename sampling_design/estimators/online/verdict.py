@@ -120,17 +120,20 @@ def represented(
     Where the condition of Y's correlations has cost it digits, its diagonal grows by what rounding may hide; elsewhere
     the bound does.
     """
-    wider, size, bound = held_entries(Y, size, bound)
-    held, condition = in_units_of(wider, size, precision if wider is Y else None)
+    held, condition = in_units_of(Y, size, precision)
+    wider = Y
+    if precision is None or not 0.0 < ROUNDED * ROUNDED * held <= bound:  # else no entry is left less than its rounding
+        wider, size, bound = held_entries(Y, size, bound)
+        held, condition = (held, condition) if wider is Y else in_units_of(wider, size)
     if PROPAGATED * condition > INFLATED_BEYOND:
         wider, condition = inflated(wider.copy()), 0.0
         held, _ = in_units_of(wider, size)
     return wider, bound * (1 + PROPAGATED * condition) + moved(bound, held), held
 
 
-def rounding(read: float, held: float) -> float:
-    """What the rounding of measurements and of states may cost, for the sums of their weighted squares."""
-    return (EXACT_DATA * (math.sqrt(read) + math.sqrt(held))) ** 2
+def rounding(size: float) -> float:
+    """What the rounding of measurements and of states may cost, for the sum of their weighted squares."""
+    return 2 * EXACT_DATA * EXACT_DATA * size  # (a + b)^2 <= 2 (a^2 + b^2)
 
 
 CONTRADICTION = 1e-9
@@ -165,8 +168,8 @@ def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode, h
 def rounding_energy(weights: CostWeights, y: Array, x: Array) -> float:
     """Return what the rounding of (N, p) measurements and of a state may cost."""
     # entry by entry: a large value in one unit says nothing about the rounding of another
-    read, held = np.abs(weights.y_root) @ np.abs(y).T, np.abs(weights.prior_factor.T) @ np.abs(x).T
-    return rounding(float(np.vdot(read, read)), float(np.vdot(held, held)))
+    read, held = np.abs(y) @ np.sqrt(weights.y.diagonal()), np.abs(x) @ np.sqrt(weights.prior.diagonal())
+    return rounding(float(np.vdot(read, read) + np.vdot(held, held)))
 
 
 def too_large(weighted: Array) -> bool:

@@ -40,16 +40,16 @@ CANCELLED = 1e-4  # share of the reference's cost below which the least cost is 
 
 SETTLED = 1.0
 """Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes
-to come take their estimates for references: nearer to the optimum than what was predicted for them, at a tenth of an
-update each. A lower share would show in the dual bound, whose margin counts what is gained."""
+to come take their estimates for references: nearer to the optimum than what was predicted for them, at a twentieth of
+an update each. A lower share would show in the dual bound, whose margin counts what is gained."""
 
 FAR_OFF = 1e12
-"""Sum of the references' squares, in units of their weights, over the least cost, from which on rounding of a reference
-may show in its ninth digit: nodes to come take their estimates for references then, too."""
+"""Sum of the squares of references and readings, in units of their weights, over the least cost, from which on rounding
+of a reference may show in its ninth digit: nodes to come take their estimates for references then, too."""
 
 
 class OutputInformation(NamedTuple):
-    """What measuring some outputs means: band of C'Y C, C'U', U, |U|, U C with U'U = Y, a bound on the noise's cost."""
+    """What measuring outputs means: band of C'Y C, C'U', U with U'U = Y, its columns' sizes, U C, the noise's cost."""
 
     band: Array
     back: Array
@@ -106,7 +106,7 @@ class OptimalTrajectory(NamedTuple):
 
 
 class WindowOptimum(NamedTuple):
-    """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and rounding.
+    """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and data's squares.
 
     `path` is the whole of it, where that was asked for.
     """
@@ -117,8 +117,7 @@ class WindowOptimum(NamedTuple):
     cost: float
     dual: float
     energy: float
-    read: float
-    held: float
+    size: float
     path: OptimalTrajectory | None = None
 
 
@@ -132,14 +131,14 @@ class SlidingBand:
     def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
-        self._C, self._held = weights.plant.C, np.abs(weights.prior_factor)
+        self._C, self._held = weights.plant.C, np.sqrt(weights.prior.diagonal())
         self._direct = bool(weights.plant.D.any())
         self.nodes: list[HistoryNode] = []
         self._known: list[IncomingNode | HistoryNode] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
-        self._outputs: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
+        self._outputs: list[tuple[OutputInformation, Array, float]] = []  # what a node's outputs mean, U (y - D u), |y|
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = self._listed = 0  # so many nodes have their columns; so many have their rows in `_measured`
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
@@ -151,9 +150,8 @@ class SlidingBand:
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pull_before = np.zeros((ROOM, n)), np.zeros((ROOM, n))
-        # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2
+        # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 + |x|^2
         self._sums = np.zeros((ROOM, 4))
-        self._places = np.zeros((ROOM + 1, n))  # references, each a row further down: in the first stands the prior
         self._measured = np.zeros((ROOM, 3, len(self._C)))  # y, mask and D u
         self._missed = np.zeros((ROOM, n))  # by how much the gap before a node leads elsewhere than to its reference
         self._ones = np.ones(ROOM)
@@ -161,7 +159,7 @@ class SlidingBand:
     @property
     def _parts(self) -> tuple[Array, ...]:
         held = self._own, self._before, self._pull, self._pull_before, self._sums
-        return *held, self._places, self._missed, self._measured
+        return *held, self._missed, self._measured
 
     def output_information(self, mask: Array) -> OutputInformation:
         """Return what a sample of some outputs means."""
@@ -170,11 +168,12 @@ class SlidingBand:
         key = mask.tobytes()
         found = self._kinds.get(key)
         if found is None:
-            root = self._weights.at(mask).y_root
+            weights = self._weights.at(mask)
+            root, size = weights.y_root, np.sqrt(weights.y.diagonal())
             back = self._C.T @ root.T
             energy = float(self._energy(mask[None])[0])
             band = lower_band(back @ back.T, self._n)[0]
-            found = self._kinds[key] = OutputInformation(band, back, root, np.abs(root), root @ self._C, energy)
+            found = self._kinds[key] = OutputInformation(band, back, root, size, root @ self._C, energy)
         self._latest = mask, found
         return found
 
@@ -188,7 +187,7 @@ class SlidingBand:
         if k == len(self._own):
             grown = [np.concatenate([part, np.zeros((k, *part.shape[1:]))]) for part in self._parts]
             self._own, self._before, self._pull, self._pull_before, self._sums = grown[:5]
-            self._places, self._missed, self._measured = grown[5:]
+            self._missed, self._measured = grown[5:]
             self._ones = np.ones(2 * k)
         kind, flow = self.output_information(new.mask), new.flow
         if not k:
@@ -199,12 +198,13 @@ class SlidingBand:
             self._count_from(new.t)
         self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._outputs[-1][0] else 1
         d = math.exp(self._eta * (new.t - self._zero))
-        read = kind.size.dot(abs(new.y))
+        y = new.y - new.feedthrough if self._direct else new.y
         self._known.append(new)
-        self._outputs.append((kind, kind.root.dot(new.y - new.feedthrough if self._direct else new.y)))
+        self._outputs.append((kind, kind.root.dot(y), float(kind.size.dot(abs(new.y)))))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
-        self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
+        sums = self._sums[k]
+        sums[1], sums[2] = kind.energy * d, 0.0
         self._pull_before[k] = self._missed[k] = 0.0
         self._predicted = None
         if not predicted:
@@ -219,12 +219,11 @@ class SlidingBand:
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        reference, (kind, read) = self._reference[k], self._outputs[k]
+        reference, (kind, read, size), sums = self._reference[k], self._outputs[k], self._sums[k]
         half = read - kind.rows.dot(reference)
-        square = float(half.dot(half))
+        square, held = float(half.dot(half)), float(self._held.dot(abs(reference)))
         kind.back.dot(half * d, self._pull[k])
-        self._places[k + 1] = reference
-        self._sums[k, 0] = square * d
+        sums[0], sums[3] = square * d, size * size + held * held
         return square < LARGEST_RESIDUAL**2
 
     def _joined(self, k: int, d: float, ahead: Array | None = None) -> bool:
@@ -282,8 +281,7 @@ class SlidingBand:
         """Drop the oldest nodes."""
         kept = len(self._known) - count
         for part in self._parts:
-            rows = kept + (part is self._places)
-            part[:rows] = part[count : count + rows].copy()
+            part[:kept] = part[count : count + kept].copy()
         self._banded, self._listed = max(self._banded - count, 0), max(self._listed - count, 0)
         del self.nodes[:count], self._known[:count], self._reference[:count], self._outputs[:count]
 
@@ -324,12 +322,12 @@ class SlidingBand:
         if eta * max(last.t - zero, zero - initial.t) > WIDEST:
             return None
         d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
-        x, Y, size, noise, initial_noise = initial.x, initial.Y, 0.0, 0.0, 0.0
-        self._places[first] = x
+        x, Y, cost, noise, read = initial.x, initial.Y, 0.0, 0.0, 0.0
+        begun = float(self._held.dot(abs(x)))
         if initial.node is not None:
             begin = math.exp(eta * (initial.t - zero))
-            x, Y, size, noise, initial_noise = self._opened(initial)
-            size, noise = size * begin, noise * begin
+            x, Y, cost, noise, read = self._opened(initial)
+            cost, noise = cost * begin, noise * begin
         flow, drift = gap
         arrival = flow.arrival_information(Y)
         if arrival is None:
@@ -340,10 +338,9 @@ class SlidingBand:
         moved = flow.F.dot(x) + drift - self._reference[first]
         g = information.dot(moved * d)
         np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
-        fit, energy, gaps, read = self._ones[rows].dot(self._sums[rows]).tolist()
-        held = abs(self._places[first : count + 1]).dot(self._held).ravel()
-        kept = float(held.dot(held))
-        size += fit + gaps + float(moved.dot(g))
+        fit, energy, gaps, size = self._ones[rows].dot(self._sums[rows]).tolist()
+        size += begun * begun + read * read
+        cost += fit + gaps + float(moved.dot(g))
         gains = self._gains_of_last_window(count - first, flow, Y)
         if gains is None:
             work = self._columns(rows)
@@ -354,10 +351,10 @@ class SlidingBand:
             alike = self._alike >= count - first
             self._gains = (count - first, self._with(flow, Y), gains) if alike else None
         deviation, gain = gains.applied(right, end, whole)
-        if not math.isfinite(gain + size):
+        if not math.isfinite(gain + cost):
             return None
-        cost = size - gain
-        self._cancelling = not (cost > SETTLED * gain and cost * FAR_OFF > kept * end)
+        cost -= gain
+        self._cancelling = not (cost > SETTLED * gain and cost * FAR_OFF > size * end)
         if not cost > CANCELLED * gain:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
@@ -369,9 +366,8 @@ class SlidingBand:
             cost / end,
             dual / end,
             (energy + noise) / end,
-            read + initial_noise,
-            kept,
-            path=path,
+            size,
+            path,
         )
 
     def _path(self, first: int, x: Array, Y: Array, moved: Array, deviation: Array, flow: GapFlow) -> OptimalTrajectory:
@@ -382,8 +378,7 @@ class SlidingBand:
         arrival = flow.arrival_information(Y)
         assert arrival is not None
         begun = flow.growth * Y.dot(flow.F.T.dot(arrival[0].dot(deviation[: self._n] - moved)))
-        places = self._places[first : len(self._known) + 1].copy()
-        places[0] = x
+        places = np.array([x, *self._reference[first:]])
         away = np.concatenate([begun, deviation]).reshape(-1, self._n)
         defect = self._missed[first : len(self._known)].copy()
         defect[0] = moved
@@ -415,7 +410,7 @@ class SlidingBand:
         return gains if so_many == count and all(map(is_, came, self._with(flow, Y))) else None
 
     def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, float]:
-        """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
+        """Return state and covariance after the sample at the start, its cost, noise bound and |y|."""
         node = initial.node
         assert node is not None
         kind = self.output_information(node.mask)
@@ -424,8 +419,8 @@ class SlidingBand:
             root, gain, half = root_update(covariance_root(initial.Y), kind.rows, np.eye(innovation.size))
             self._absorbed = initial.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
-        missed, read = half.dot(innovation), kind.size @ np.abs(node.y)
-        return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, float(read @ read)
+        missed, read = half.dot(innovation), float(kind.size.dot(abs(node.y)))
+        return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, read
 
 
 class BandCache:

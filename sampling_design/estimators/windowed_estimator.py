@@ -25,7 +25,7 @@ from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, StateBox
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder, SolvedSample
+from sampling_design.estimators.online.recorder import Recorder, SolvedSample, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     SolveVerdict,
@@ -220,6 +220,7 @@ class WindowedEstimator(OnlineEstimator):
         if self.check_spacing is not None and self.constraints.x is not None:
             self._between = CheckPoints(self.loop.table, self.check_spacing)
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
+        self._prior_roots = self.weights.prior_factor.T.copy(), self.weights.prior_factor
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
     def _expect(self, times: Array) -> None:
@@ -261,16 +262,16 @@ class WindowedEstimator(OnlineEstimator):
             return WindowStart(s, x, beta, covariance_root(Y), inside)
         if not math.isfinite(beta):
             return WindowStart(s, x, beta, None, inside)
-        factor = self.weights.prior_factor
         if self._worst[0] is not Y:
-            self._worst = Y, float(lapack.dsyev(factor.T.dot(Y).dot(factor), 0)[0][-1])
+            left, right = self._prior_roots
+            self._worst = Y, float(lapack.dsyev(left.dot(Y).dot(right), 0)[0][-1])
         return WindowStart(s, x, self._worst[1] * beta, None, inside)
 
     def _propagated_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self.loop.between(state, node.t, s)
         x, Y, beta = self.loop.propagated(node, flow, drift)
-        if math.isfinite(x.dot(x) + np.vdot(Y, Y)):
+        if math.isfinite(sum(x.tolist())) and is_finite(Y):
             return x, Y, beta
         self.loop.refuse_overflow(flow, s, x)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":

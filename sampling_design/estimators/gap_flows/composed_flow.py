@@ -44,12 +44,12 @@ def _symmetric(W: Array) -> Array:
 
 
 def _triangle(n: int) -> tuple[Mask, Index]:
-    """What of [F, E, W], one row after the other, is not above the diagonal of W; and where what is there stands."""
+    """What of [F, E, W], one row after the other, is not above the diagonal of W; and where what each holds stands."""
     row, column = np.divmod(np.arange(3 * n * n), 3 * n)
     below = column - 2 * n <= row
     place = np.cumsum(below) - 1
     mirrored = np.where(below, np.arange(3 * n * n), (column - 2 * n) * 3 * n + row + 2 * n)
-    return below, place[mirrored].reshape(n, 3 * n)
+    return below, place[mirrored].reshape(n, 3, n).transpose(1, 0, 2)
 
 
 class ComposedFlow:
@@ -86,23 +86,23 @@ class ComposedFlow:
         """Return F, E and W for every gap, each (N, n, n)."""
         n = self._n
         if 0 < len(gaps) <= FEW and n <= SMALL and max(gaps) < BASE * self._unit:
-            flow = self._near(gaps)
-            return flow[:, :, :n], flow[:, :, n : 2 * n], flow[:, :, 2 * n :]
+            near = self._near(gaps)
+            return near[:, 0], near[:, 1], near[:, 2]
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite: its users look
             flow = self._far(np.array(gaps, dtype=np.float64))
         return flow[:, :, :n], flow[:, :, n : 2 * n], _symmetric(flow[:, :, 2 * n :])
 
     def _near(self, gaps: Sequence[float]) -> Array:
-        """Flows over a few gaps of one level, each from the polynomial around its piece."""
-        unit, norm, powers, around = self._unit, self._norm, self._powers, self._around
-        flow = np.empty((len(gaps), len(self._kept)))
-        digits = [int(h // unit) for h in gaps]
-        passed = np.array([[(h - digit * unit) * norm] for h, digit in zip(gaps, digits, strict=True)]) ** powers
-        for row, factors, digit in zip(flow, passed, digits, strict=True):
+        """F, E and W over a few gaps of one level, (N, 3, n, n), each from the polynomial around its piece."""
+        unit, norm, around = self._unit, self._norm, self._around
+        flow, powers = np.empty((len(gaps), len(self._kept))), np.ones(len(self._powers))
+        for row, h in zip(flow, gaps, strict=True):
+            digit = int(h // unit)
             terms = around.get(digit)
             if terms is None:
                 terms = around[digit] = self._expanded(digit)
-            factors.dot(terms, row)
+            powers[1:] = (h - digit * unit) * norm
+            np.multiply.accumulate(powers).dot(terms, row)
         return flow.take(self._whole, 1)
 
     def _expanded(self, digit: int) -> Array:

@@ -155,14 +155,19 @@ class GapFlow:
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric, with what rounding may hide of it."""
-        moved = self._carried(Y)
-        return inflated((moved + moved.T) / 2)
+        return inflated(self._carried(Y).take(_mirrored(len(Y))))
 
     def _carried(self, Y: Array) -> Array:
-        moved: Array = self.F.dot(Y).dot(self.F.T)
-        moved *= self.growth
+        moved: Array = self.F.dot(Y).dot(self.F.T).dot(self.growth)
         moved += self.W
         return moved
+
+
+@lru_cache(maxsize=64)
+def _mirrored(n: int) -> Index:
+    """Where the entries of a symmetric matrix stand in its lower triangle."""
+    row, column = np.indices((n, n))
+    return np.asarray(np.maximum(row, column) * n + np.minimum(row, column))
 
 
 @lru_cache(maxsize=64)
@@ -287,8 +292,13 @@ def inflated(Y: Array) -> Array:
 
     In place. A direction in which Y's digits are lost is then known to 1e-7 of the rest, not to 0 or less.
     """
-    Y.ravel()[:: len(Y) + 1] *= 1 + len(Y) * PROPAGATED
+    Y *= _inflation(len(Y))
     return Y
+
+
+@lru_cache(maxsize=64)
+def _inflation(n: int) -> Array:
+    return np.asarray(1 + n * PROPAGATED * np.eye(n))
 
 
 def noise_root(W: Array) -> tuple[Array, Array]:

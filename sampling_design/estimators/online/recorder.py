@@ -84,7 +84,7 @@ class Recorder:
         if not sound:
             beta = np.nan
         unbounded = self.bounds.note
-        certified = sound and not unbounded and math.isfinite(beta) and _is_finite(Y)
+        certified = sound and not unbounded and math.isfinite(beta) and is_finite(Y)
         if contradiction is not None:
             note = f"{contradiction.sentence()} {note}".strip()
         elif unbounded:
@@ -149,6 +149,6 @@ class Recorder:
         return changed(middle, engine="set", note="" if middle.certified else middle.note, cost=np.nan)
 
 
-def _is_finite(Y: Array) -> bool:
+def is_finite(Y: Array) -> bool:
     """Whether all entries of a covariance are finite: most often one sum tells."""
     return math.isfinite(sum(Y.ravel().tolist())) or bool(np.isfinite(Y).all())

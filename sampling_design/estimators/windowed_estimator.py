@@ -131,7 +131,7 @@ class WindowedEstimator(OnlineEstimator):
         if not math.isfinite(sum(y.tolist())):
             measured = np.isfinite(y)
             y, mask = np.where(measured, y, 0.0), measured.astype(np.float64)
-        flow, drift = self.loop.between(state, state.last.t, sample.t)
+        flow, drift = self.loop.between(state, state.nodes[-1].t, sample.t)
         return IncomingNode(sample.t, sample, y, mask, self._nothing if u is None else self.plant.D @ u, flow, drift)
 
     def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
@@ -165,13 +165,14 @@ class WindowedEstimator(OnlineEstimator):
 
     def _settled(self, state: EstimatorState) -> EstimatorState:
         assumed = self.recorder.assumed
-        if not math.isfinite(state.last.limited) or assumed is None or not state.last.stands:
+        last = state.nodes[-1]
+        if last.limited == -math.inf or assumed is None or not last.stands:
             return state
         begun = max(len(state.nodes) - 1 - REMEMBERED, 0)
         at = next((k for k, node in enumerate(state.nodes) if k > begun and node.waits), None)
         if at is None:
             return state
-        first, last, rows = state.nodes[begun], state.last.t, list[RecordRow]()
+        first, rows = state.nodes[begun], list[RecordRow]()
         for node in state.nodes[begun if first.number else begun + 1 :]:
             censored = tuple(each.as_read for each in node.sample.censored if each.since is None)
             rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, censored))
@@ -179,14 +180,14 @@ class WindowedEstimator(OnlineEstimator):
         proven = censored_together(unread, rows, assumed.noise, self.before)
         if proven is None:
             return state
-        boxed = first._replace(box=StateBox(proven[0], until=last))
+        boxed = first._replace(box=StateBox(proven[0], until=last.t))
         settled = state._replace(nodes=(*state.nodes[:begun], boxed, *state.nodes[begun + 1 : at]))
         said = {row.t: censored for row, censored in zip(rows, proven[1], strict=True)}
         for node in state.nodes[at:]:
             means = [each for each in node.sample.censored if each.since is not None]
             censored = tuple(sorted((*means, *said[node.t]), key=lambda each: each.output))
             sample = node.sample._replace(censored=censored) if node.waits else self._resolved(settled, node.sample)
-            settled = settled._replace(nodes=(*settled.nodes, self._advance(settled, sample)._replace(until=last)))
+            settled = settled._replace(nodes=(*settled.nodes, self._advance(settled, sample)._replace(until=last.t)))
         return settled
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:

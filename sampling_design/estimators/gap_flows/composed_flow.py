@@ -49,7 +49,7 @@ def _triangle(n: int) -> tuple[Mask, Index]:
     below = column - 2 * n <= row
     place = np.cumsum(below) - 1
     mirrored = np.where(below, np.arange(3 * n * n), (column - 2 * n) * 3 * n + row + 2 * n)
-    return below, place[mirrored].reshape(n, 3, n).transpose(1, 0, 2)
+    return below, place[mirrored].reshape(n, 3, n).transpose(1, 0, 2).copy()
 
 
 class ComposedFlow:
@@ -95,14 +95,16 @@ class ComposedFlow:
     def _near(self, gaps: Sequence[float]) -> Array:
         """F, E and W over a few gaps of one level, (N, 3, n, n), each from the polynomial around its piece."""
         unit, norm, around = self._unit, self._norm, self._around
-        flow, powers = np.empty((len(gaps), len(self._kept))), np.ones(len(self._powers))
-        for row, h in zip(flow, gaps, strict=True):
-            digit = int(h // unit)
+        flow, powers = np.empty((len(gaps), len(self._kept))), np.ones((len(gaps), len(self._powers)))
+        digits = [int(h // unit) for h in gaps]
+        for k, digit in enumerate(digits):
+            powers[k, 1:] = (gaps[k] - digit * unit) * norm
+        powers = np.multiply.accumulate(powers, 1)
+        for k, digit in enumerate(digits):
             terms = around.get(digit)
             if terms is None:
                 terms = around[digit] = self._expanded(digit)
-            powers[1:] = (h - digit * unit) * norm
-            np.multiply.accumulate(powers).dot(terms, row)
+            powers[k].dot(terms, flow[k])
         return flow.take(self._whole, 1)
 
     def _expanded(self, digit: int) -> Array:

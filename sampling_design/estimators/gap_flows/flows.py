@@ -259,8 +259,9 @@ class FlowTable:
                 found = self._constant_roots(integral, gaps)
                 W = np.array([root @ root.T for root, _ in found])
             roots = list(found)
-        for gap, *parts in zip(gaps, F, W, integral, inputs, roots, strict=True):
-            table[gap] = GapFlow(gap, math.exp(eta * gap) if eta * gap < LONGEST else math.inf, *parts)
+        for k, gap in enumerate(gaps):  # an array is iterated at ten times the price of its places
+            growth = math.exp(eta * gap) if eta * gap < LONGEST else math.inf
+            table[gap] = GapFlow(gap, growth, F[k], W[k], integral[k], inputs[k], roots[k])
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
         """Roots of the noise that is constant over each gap and their pseudo-inverses; NaN where they overflowed.

@@ -129,7 +129,7 @@ class OnlineEstimator(Displayable, ABC):
         checked = self._check(sample, state)
         if checked.u is not None:
             state = with_input(state, checked)
-        if checked.t > state.last.t and not (checked.u is not None and _touched(state, checked.t)):
+        if checked.t > state.nodes[-1].t and not (checked.u is not None and _touched(state, checked.t)):
             if checked.y is None:
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
@@ -218,14 +218,15 @@ class OnlineEstimator(Displayable, ABC):
         return RecordRow(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
 
     def _refuse_too_late(self, t: float, state: EstimatorState) -> None:
-        first, oldest = state.nodes[0], max(state.nodes[0].t, state.last.t - self.maximum_delay)
-        if first.sample.y is not None and state.last.t - self.memory < first.t:
+        first, last = state.nodes[0], state.nodes[-1].t
+        oldest = max(first.t, last - self.maximum_delay)
+        if last - self.memory < first.t and first.sample.y is not None:
             # samples that are withdrawn do not bring back what was let go when they came
             oldest = max(oldest, first.t + (self.memory - self.maximum_delay))
         if t < oldest:
             raise ArgumentError(
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
-                f"samples (latest sample at {state.last.t!r}). `start()` forgets all samples."
+                f"samples (latest sample at {last!r}). `start()` forgets all samples."
             )
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:

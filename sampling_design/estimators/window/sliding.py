@@ -231,18 +231,18 @@ class SlidingBand:
 
         `ahead`: by how much the reference before is off from the state that leads to the newest one, where known.
         """
-        new = self._known[k]
-        if not k or new.flow is None or new.flow.joint is None:
+        n, new = self._n, self._known[k]
+        flow = new.flow
+        if not k or flow is None or (joint := flow.joint) is None:
             return True
-        n = self._n
         if ahead is not None:
-            moved = new.flow.F.dot(ahead)
+            moved = flow.F.dot(ahead)
         elif self._predicted is not None:
             moved = self._predicted - self._reference[k]
         else:
-            moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
+            moved = flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         self._missed[k] = moved
-        g = moved.dot(d).dot(new.flow.joint[n:])
+        g = moved.dot(d).dot(joint[n:])
         pull, own = self._pull[k - 1], g[n:]
         pull += g[:n]
         self._pull_before[k] = own
@@ -318,10 +318,10 @@ class SlidingBand:
         what is known of it arrives at the first node as one covariance.
         """
         known, eta, zero = self._known, self._eta, self._zero
-        last, start = known[-1], known[first]
-        if eta * max(last.t - zero, zero - initial.t) > WIDEST:
+        later = known[-1].t - zero
+        if eta * later > WIDEST or eta * (zero - initial.t) > WIDEST:
             return None
-        d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
+        d, end = math.exp(eta * (known[first].t - zero)), math.exp(eta * later)
         x, Y, cost, noise, read = initial.x, initial.Y, 0.0, 0.0, 0.0
         begun = float(self._held.dot(abs(x)))
         if initial.node is not None:

@@ -49,12 +49,13 @@ of a reference may show in its ninth digit: nodes to come take their estimates f
 
 
 class OutputInformation(NamedTuple):
-    """What measuring outputs means: band of C'Y C, C'U', U with U'U = Y, its columns' sizes, U C, the noise's cost."""
+    """What measuring some outputs means: band of C'Y C, C'U' with U'U = Y, a bound on the noise's cost, and two maps:
+    read y - rows x is U (y - C x), and below it as much as |y| and |x| are in units of their weights, or more.
+    """
 
     band: Array
     back: Array
-    root: Array
-    size: Array
+    read: Array
     rows: Array
     energy: float
 
@@ -131,14 +132,14 @@ class SlidingBand:
     def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
-        self._C, self._held = weights.plant.C, np.sqrt(weights.prior.diagonal())
-        self._direct = bool(weights.plant.D.any())
+        self._C, self._held = weights.plant.C, np.diag(np.sqrt(n * weights.prior.diagonal()))
+        self._p, self._direct = len(self._C), bool(weights.plant.D.any())
         self.nodes: list[HistoryNode] = []
         self._known: list[IncomingNode | HistoryNode] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
-        self._outputs: list[tuple[OutputInformation, Array, float]] = []  # what a node's outputs mean, U (y - D u), |y|
+        self._outputs: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and what they read
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = self._listed = 0  # so many nodes have their columns; so many have their rows in `_measured`
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
@@ -168,12 +169,13 @@ class SlidingBand:
         key = mask.tobytes()
         found = self._kinds.get(key)
         if found is None:
-            weights = self._weights.at(mask)
-            root, size = weights.y_root, np.sqrt(weights.y.diagonal())
+            weights, p, n = self._weights.at(mask), self._p, self._n
+            root = weights.y_root
             back = self._C.T @ root.T
-            energy = float(self._energy(mask[None])[0])
-            band = lower_band(back @ back.T, self._n)[0]
-            found = self._kinds[key] = OutputInformation(band, back, root, size, root @ self._C, energy)
+            read = np.vstack([root, np.zeros((n, p)), np.diag(np.sqrt(p * weights.y.diagonal()))])
+            rows = np.vstack([root @ self._C, self._held, np.zeros((p, n))])
+            band, energy = lower_band(back @ back.T, n)[0], float(self._energy(mask[None])[0])
+            found = self._kinds[key] = OutputInformation(band, back, read, rows, energy)
         self._latest = mask, found
         return found
 
@@ -198,9 +200,8 @@ class SlidingBand:
             self._count_from(new.t)
         self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._outputs[-1][0] else 1
         d = math.exp(self._eta * (new.t - self._zero))
-        y = new.y - new.feedthrough if self._direct else new.y
         self._known.append(new)
-        self._outputs.append((kind, kind.root.dot(y), float(kind.size.dot(abs(new.y)))))
+        self._outputs.append((kind, self._read(kind, new)))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         sums = self._sums[k]
@@ -217,13 +218,21 @@ class SlidingBand:
             return weighed
         return weighed and self._joined(k, d, last - estimated)
 
+    def _read(self, kind: OutputInformation, node: IncomingNode | HistoryNode) -> Array:
+        """Return U (y - D u), and how large y is."""
+        read: Array = kind.read.dot(node.y)
+        if self._direct:
+            read[: self._p] -= kind.read[: self._p].dot(node.feedthrough)
+        return read
+
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        reference, (kind, read, size), sums = self._reference[k], self._outputs[k], self._sums[k]
-        half = read - kind.rows.dot(reference)
-        square, held = float(half.dot(half)), float(self._held.dot(abs(reference)))
+        (kind, read), sums = self._outputs[k], self._sums[k]
+        off = read - kind.rows.dot(self._reference[k])
+        half = off[: self._p]
+        square = float(half.dot(half))
         kind.back.dot(half.dot(d), self._pull[k])
-        sums[0], sums[3] = square * d, size * size + held * held
+        sums[0], sums[3] = square * d, off.dot(off)
         return square < LARGEST_RESIDUAL**2
 
     def _joined(self, k: int, d: float, ahead: Array | None = None) -> bool:
@@ -322,11 +331,12 @@ class SlidingBand:
         if eta * later > WIDEST or eta * (zero - initial.t) > WIDEST:
             return None
         d, end = math.exp(eta * (known[first].t - zero)), math.exp(eta * later)
-        x, Y, cost, noise, read = initial.x, initial.Y, 0.0, 0.0, 0.0
-        begun = float(self._held.dot(abs(x)))
-        if initial.node is not None:
+        x, Y, cost, noise = initial.x, initial.Y, 0.0, 0.0
+        if initial.node is None:
+            begun = self._held.dot(x)
+        else:
             begin = math.exp(eta * (initial.t - zero))
-            x, Y, cost, noise, read = self._opened(initial)
+            x, Y, cost, noise, begun = self._opened(initial)
             cost, noise = cost * begin, noise * begin
         flow, drift = gap
         arrival = flow.arrival_information(Y)
@@ -339,7 +349,7 @@ class SlidingBand:
         g = information.dot(moved.dot(d))
         np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
         fit, energy, gaps, size = self._ones[rows].dot(self._sums[rows]).tolist()
-        size += begun * begun + read * read
+        size += float(begun.dot(begun))
         cost += fit + gaps + float(moved.dot(g))
         gains = self._gains_of_last_window(count - first, flow, Y)
         if gains is None:
@@ -409,18 +419,19 @@ class SlidingBand:
         so_many, came, gains = self._gains
         return gains if so_many == count and all(map(is_, came, self._with(flow, Y))) else None
 
-    def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, float]:
-        """Return state and covariance after the sample at the start, its cost, noise bound and |y|."""
+    def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, Array]:
+        """Return state and covariance after the sample at the start, its cost and noise bound; sizes of data."""
         node = initial.node
         assert node is not None
         kind = self.output_information(node.mask)
-        innovation = kind.root @ (node.y - node.feedthrough) - kind.rows @ initial.x
+        off = self._read(kind, node) - kind.rows.dot(initial.x)
+        innovation, rows = off[: self._p], kind.rows[: self._p]
         if self._absorbed is None or self._absorbed[0] is not initial.Y or self._absorbed[1] is not kind:
-            root, gain, half = root_update(covariance_root(initial.Y), kind.rows, np.eye(innovation.size))
+            root, gain, half = root_update(covariance_root(initial.Y), rows, np.eye(innovation.size))
             self._absorbed = initial.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
-        missed, read = half.dot(innovation), float(kind.size.dot(abs(node.y)))
-        return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, read
+        missed = half.dot(innovation)
+        return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, off
 
 
 class BandCache:

@@ -28,6 +28,7 @@ FINER = 4
 LOSS = 2e-2  # share of the curvature that coarse cells may lose: gains are second order in it, and more cells cost time
 CELLS = 2  # least number of coarse cells of a gap
 FINER_CELLS = (1, 2, 4, 16)  # so many times more cells on each level than on the first
+SUM_HELD = 8 * float(np.finfo(float).eps)  # relative error of a flow over a panel, for each state and panel before it
 REMEMBERED = 1024  # gaps that are kept
 GROWN = 1e70  # growth over a period beyond which sizes are not followed: its square is a number still, in any units
 
@@ -227,23 +228,33 @@ class DisturbanceQuadrature:
             both = np.array([[gaps[k].propagated, gaps[k].bend] for k in at])  # (J, 2, panels + 1, n, q)
             rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(at), -1, both.shape[3])
             third, step = np.array([gaps[k].third for k in at]), np.array([gaps[k].step for k in at])[:, None]
-            self._groups.append((at, rows, both.shape, third, step))
+            pieces = np.array([gaps[k].pieces for k in at])
+            whole = np.ascontiguousarray(np.swapaxes(pieces, 2, 3)).reshape(len(at), -1, both.shape[3])
+            held = (both.shape[3] + count) * SUM_HELD * np.linalg.norm(pieces, axis=(2, 3))
+            self._groups.append((at, rows, both.shape, third, step, whole, held))
 
     def integral(self, g: Array, ball: bool) -> float:
         """Return a bound on the sum over gaps j of int h_W(G'e^{A's} g_j) ds for g (J, n), for all real times.
 
-        Infinite where a flow overflows.
+        Infinite where a flow overflows. A component that keeps its sign along a panel: the integral of the flow.
         """
         total = 0.0
         with np.errstate(over="ignore", invalid="ignore"):
-            for at, rows, (count, _, panels, _, q), third, d in self._groups:
+            for at, rows, (count, _, panels, _, q), third, d, whole, held in self._groups:
                 p, curved = np.moveaxis(np.matmul(rows, g[at][:, :, None]).reshape(count, 2, panels, q), 1, 0)
                 size = np.linalg.norm(g[at], axis=1)[:, None]
                 steep = np.where(size > 0, third * size, 0.0)  # the bound may be infinite
-                if ball:
+                if ball and q > 1:
                     value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
-                else:
-                    value, curve, steep = np.abs(p).sum(axis=2), np.abs(curved).sum(axis=2), steep * np.sqrt(q)
-                sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
-                total += float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
+                    sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
+                    total += float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
+                    continue
+                d, lost = d[:, :, None], (held * size)[:, :, None]
+                value, curve = np.abs(p), np.abs(curved)
+                sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep[:, :, None]
+                above = d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup
+                flow = np.abs(np.matmul(whole, g[at][:, :, None]).reshape(count, panels - 1, q)) + lost
+                one_sign = p[:, 1:] * p[:, :-1] > 0
+                one_sign &= d * np.minimum(value[:, 1:], value[:, :-1]) > d**3 / 8 * sup + lost
+                total += float(np.where(one_sign, np.minimum(flow, above), above).sum())
         return total if np.isfinite(total) else np.inf

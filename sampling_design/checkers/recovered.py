@@ -7,7 +7,7 @@ so that with |row x - y| <= size, x(s) = centre + root a and w = w_centre + w_ro
               + |root'g(s)| + int |w_root'G'g| + sum |lambda| size.
 Costates at readings are integers (`long_numbers`): over many gaps doubles would lose them, or the bound of their error.
 Every other number is kept with a bound of its error, and integrals of norms lie between panels' chords: |p| is below
-its chord plus (s - a)(b - s)/2 sup|p''|.
+its chord plus (s - a)(b - s)/2 sup|p''|; where that shows that p keeps its sign, int |p| = |int p|.
 
 Nothing is known of a start without a root: then g(s) must be 0. Gains near those of the file make it so; by how much
 more they may cost is added. A state that drives neither a wanted row nor a reading has g = 0 whatever the gains. What
@@ -268,7 +268,7 @@ class BackwardRecursion:
             path = E @ g[:, part]
             doubts = (np.abs(E) + wrong_E) @ wrong[:, part]
             doubts += (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(g[:, part])
-            self.integrate(columns, part, path, doubts, d)
+            self.integrate(columns, part, path, doubts, (mean, wrong_mean), d)
             self.force(columns, part, path, doubts, (mean, wrong_mean), u)
 
     def force(
@@ -291,7 +291,9 @@ class BackwardRecursion:
             + EPS * np.abs(columns.exact[part])
         )
 
-    def integrate(self, columns: Columns, part: slice, path: Array, doubts: Array, d: float) -> None:
+    def integrate(
+        self, columns: Columns, part: slice, path: Array, doubts: Array, means: tuple[Array, Array], d: float
+    ) -> None:
         """Add int |G'g| over the panels, from above and from below."""
         if not self.G.shape[1]:
             return
@@ -303,18 +305,24 @@ class BackwardRecursion:
         off_bend = rough @ doubts + 16 * len(a) * EPS * (rough @ size) + self.wrong_G.T @ np.abs(a) @ np.abs(a) @ size
         cubed = float(np.linalg.norm(rough @ np.abs(a)))
         steep = cubed * math.exp(self.size * d) * np.linalg.norm(size[:-1], axis=1) * (1 if self.c.w_ball else 2)
-        if self.c.w_ball:
-            value, curve = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1)
-            off, off_bend = np.linalg.norm(off, axis=1), np.linalg.norm(off_bend, axis=1)
-            chord = np.linalg.norm(p[1:] + p[:-1], axis=1)
+        if self.c.w_ball and len(G) > 1:
+            p, curve = (np.linalg.norm(X, axis=1, keepdims=True) for X in (p, bend))
+            off, off_bend = (np.linalg.norm(X, axis=1, keepdims=True) for X in (off, off_bend))
+            turn, exact = np.linalg.norm(G @ (path[1:] + path[:-1]), axis=1, keepdims=True), np.full((1, 1, 1), np.inf)
         else:
-            value, curve = np.abs(p).sum(axis=1), np.abs(bend).sum(axis=1)
-            off, off_bend = off.sum(axis=1), off_bend.sum(axis=1)
-            chord, steep = np.abs(p[1:] + p[:-1]).sum(axis=1), steep * math.sqrt(len(G))
-        curve = np.maximum(curve[1:] + off_bend[1:], curve[:-1] + off_bend[:-1]) + d / 2 * steep
+            curve, turn = np.abs(bend), np.abs(p[1:] + p[:-1])
+            mean, wrong_mean = means
+            less, more = np.abs(mean) @ size[:-1], wrong_mean @ size[:-1] + np.abs(mean) @ doubts[:-1]
+            exact = np.abs(G @ (mean @ path[:-1])) + np.abs(G) @ (more + 4 * len(a) * EPS * less)
+            exact += self.wrong_G.T @ (less + more)
+        value = np.abs(p)
+        curve = np.maximum(curve[1:] + off_bend[1:], curve[:-1] + off_bend[:-1]) + d / 2 * steep[:, None]
         bulge = d**3 / 12 * curve
-        columns.disturbance[part] += LOOSE * (d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge).sum(axis=0)
-        below = d / 2 * (chord - off[1:] - off[:-1]) - bulge
+        above = d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge
+        # of what keeps its sign along a panel the integral is that of the flow
+        steady = (p[1:] * p[:-1] > 0) & (np.minimum(value[1:] - off[1:], value[:-1] - off[:-1]) > d**2 / 8 * curve)
+        columns.disturbance[part] += LOOSE * np.where(steady, np.minimum(exact, above), above).sum(axis=(0, 1))
+        below = (d / 2 * (turn - off[1:] - off[:-1]) - bulge).sum(axis=1)
         columns.least[part] += np.maximum(below, 0.0).sum(axis=0) / LOOSE
 
     def begun(self, columns: Columns, gains: Array) -> RowBound:

@@ -4,6 +4,7 @@ Plain readings, limits of detection, composite samples, missing outputs, a bound
 start of which nothing is known: the program's ends lie inside the interval, and within a hundredth of its width of it.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -130,6 +131,27 @@ def test_so_it_is_where_bounds_are_0_or_far_apart(extreme):
 @pytest.mark.parametrize("begin", [12, 62])
 def test_so_is_that_of_fifty_more(begin):
     assert {seed: said for seed in range(begin, begin + 50) if (said := wrong(seed))} == {}
+
+
+@pytest.mark.parametrize("left", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_what_data_at_the_edge_of_the_bounds_leave_is_no_wider(order, left):
+    """A chain of integrators pushed as far as it goes: the reading leaves `left` of it, less than integrals once lost.
+
+    From |x_i(0)| <= 1 with |w| <= 1/2 the first state comes to sum T^k/k! + T^n/(2 n!) at most, exactly.
+    """
+    T, noise = 1.5, 0.125
+    plant = Plant(np.diag(np.ones(order - 1), 1), np.eye(order)[:1], G=np.eye(order)[:, -1:])
+    most = sum(T**k / math.factorial(k) for k in range(order)) + T**order / (2 * math.factorial(order))
+    record = [(0.0, [np.nan]), (T, [most + noise - left])]
+    bounds = {"w_bound": [0.5], "v_bound": noise, "initial_error": [1.0] * order}
+    found = state_interval(plant, record, of=np.eye(order)[:1], **bounds)
+    ends = found.lower[0], found.upper[0]
+    assert ends == pytest.approx((most - left, most), abs=WITHIN * left)
+    assert ends[0] <= most - left * (1 - 1e-9)
+    assert ends[1] >= most * (1 - 1e-15)
+    assert found.verify()
+    assert found.verify(rigorous=True)
 
 
 def test_ends_a_hundredth_off_are_told(monkeypatch):

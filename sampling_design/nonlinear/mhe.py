@@ -449,7 +449,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         times, path = [float(edges[0]), *known], [prior, *known.values()]
         try:
             for edge in edges[edges > last.t].tolist():
-                x, t = self.loop.propagated(state, x, t, edge, guess=True).x, edge
+                x, t = self.loop.propagated(state, x, t, edge, guess=True)[0], edge
                 times.append(edge)
                 path.append(x)
         except SolverError:

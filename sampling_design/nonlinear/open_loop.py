@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,14 +26,6 @@ NOTE = "No radius: no certificate was given."
 GUESS_TOLERANCE = 1e-4  # of the integrator where a solver only starts from what it finds, in scaled states
 PARTS = 16  # of a stretch without new inputs, at whose ends an open loop is looked at: does it stay in the region?
 EDGE = 1e-6  # states within this share of their scale of the edge of X are in it: the solver ends there
-
-
-class OpenLoopEnd(NamedTuple):
-    """Where an open loop ends: state, covariance, and whether region and inputs were the certificate's all the way."""
-
-    x: Array
-    Y: Array | None
-    covered: bool
 
 
 class NonlinearLoop:
@@ -98,8 +90,9 @@ class NonlinearLoop:
 
     def propagated(
         self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None, guess: bool = False
-    ) -> OpenLoopEnd:
-        """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance.
+    ) -> tuple[Array, Array | None, bool]:
+        """Return where the open loop from x at a is at b, with w = 0 and the inputs that were given: state, covariance,
+        and whether region and inputs were the certificate's all the way.
 
         As a guess it is found to `GUESS_TOLERANCE` only. What the certificate covers is looked at `PARTS` times between
         two inputs.
@@ -107,7 +100,7 @@ class NonlinearLoop:
         error_bound = self.error_bound
         covered = error_bound is not None and error_bound.holds(x)
         if b <= a:
-            return OpenLoopEnd(x, Y, covered)
+            return x, Y, covered
         edges = [a, *(t for t, _ in state.inputs if a < t < b), b]
         still = np.zeros(self.plant.n_disturbances)
         integrator = self._rough if guess else self._integrator
@@ -119,7 +112,7 @@ class NonlinearLoop:
             x = path[-1]
             if error_bound is not None and covered:
                 covered = error_bound.holds(path) and error_bound.drives(np.array([u, later]))
-        return OpenLoopEnd(x, Y, covered)
+        return x, Y, covered
 
     def begun(self, node: HistoryNode, last: float) -> float:
         """The bound on V at a node whose P(tau) counts from `last`, for a prior perhaps not as its own does."""

@@ -80,15 +80,13 @@ class CostProof:
     judged: bool = False
 
 
-def open_choices(
-    covering: CoveringRows, grid_filter: GridFilter, level: float, below: float, most: int = MOST_CHOICES
-) -> list[Mask] | None:
+def open_choices(covering: CoveringRows, grid_filter: GridFilter, level: float, below: float) -> list[Mask] | None:
     """Those of all choices below a cost that the filter does not find beyond a level; None where they are too many.
 
     More measurements leave no more unknown, so that those that nothing can join stand for all: none proves the cost.
     Spacings and uses are left aside, and of choices that are turns of each other one is looked at.
     """
-    kept = None if covering.readings is None else _kept(covering, covering.readings, grid_filter, level, below, most)
+    kept = None if covering.readings is None else _kept(covering, covering.readings, grid_filter, level, below)
     if kept is None:
         return None
     found = list[Mask]()
@@ -100,7 +98,7 @@ def open_choices(
 
 
 def _kept(
-    covering: CoveringRows, readings: SampleChoices, grid_filter: GridFilter, level: float, below: float, most: int
+    covering: CoveringRows, readings: SampleChoices, grid_filter: GridFilter, level: float, below: float
 ) -> list[tuple[Index, Mask]] | None:
     """Choices that nothing can join but those whose beginnings leave too much unknown; None where they are too many.
 
@@ -126,7 +124,7 @@ def _kept(
         live = gap + more * np.minimum(longest, first if alike else longest) >= whole
         taken, P, at, left, gap, whole = (each[live] for each in (taken, P, at, left, gap, whole))
         count += len(taken)
-        if count > most or grid_filter.work.over:
+        if count > MOST_CHOICES or grid_filter.work.over:
             return None
         done = (whole <= gap) & (readings.joins(taken, k < problem.most_samples) >= left)
         found.append((at[done], readings.measured[taken[done]]))
@@ -134,7 +132,7 @@ def _kept(
         size = (stop - start) * (k < problem.most_samples)
         if not size.any():
             return found
-        if size.sum() > most * SMALLER:
+        if size.sum() > MOST_CHOICES * SMALLER:
             return None
         of = np.repeat(np.arange(len(taken)), size)
         then = np.arange(of.size) - np.repeat(np.cumsum(size) - size, size) + start[of]

@@ -123,11 +123,10 @@ def _through_cell(error_map: ErrorMap, c: int, functional: Array, result: ErrorS
 def _through_window(error_map: ErrorMap, window: SolveWindow, functional: Array, result: ErrorSources) -> Array:
     events = error_map.timeline.events
     for k in range(window.end, window.start - 1, -1):
-        absorb = window.absorbs.get(k)
-        if absorb is not None:
-            j = absorb.sample
-            result.v[j] += functional @ absorb.gain @ error_map.weigh[j]
-            functional = functional - functional @ absorb.gain @ error_map.H[j]
+        if k in window.absorbs:
+            j, gain, _ = window.absorbs[k]
+            result.v[j] += functional @ gain @ error_map.weigh[j]
+            functional = functional - functional @ gain @ error_map.H[j]
         if k > window.start:
             for c in range(events[k] - 1, events[k - 1] - 1, -1):
                 functional = _through_cell(error_map, c, functional, result)

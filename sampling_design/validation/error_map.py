@@ -27,25 +27,18 @@ ROUNDED = 1e-13
 """Relative error of errors that pass through all windows: some ten times what one gap and one sample cost."""
 
 
-class SampleUpdate(NamedTuple):
-    """What a window does with a sample: e += gain innovation, cost += |root innovation|^2."""
-
-    sample: int
-    gain: Array
-    root: Array
-
-
 @dataclass(frozen=True, eq=False)
 class SolveWindow:
-    """One solve: from event `start` to event `end`; `absorbs` by event; `given` if the prior is the given one.
+    """One solve: from event `start` to event `end`; `given` if the prior is the given one.
 
-    `worst` is lambda_max(P, Y) at the start, `known` the part of the radius that noise bounds give.
+    `absorbs` has by event (sample, gain, root): e += gain innovation, cost += |root innovation|^2. `worst` is
+    lambda_max(P, Y) at the start, `known` the part of the radius that noise bounds give.
     """
 
     start: int
     end: int
     given: bool
-    absorbs: dict[int, SampleUpdate]
+    absorbs: dict[int, tuple[int, Array, Array]]
     discount: float
     worst: float
     known: float
@@ -127,14 +120,14 @@ class ErrorMap:
             S = online[start] if self.filtered else S
         length = times[end] - times[start]
         known = self.w_energy * float(discounted_length(eta, length)) if length > 0 else 0.0
-        absorbs: dict[int, SampleUpdate] = {}
+        absorbs: dict[int, tuple[int, Array, Array]] = {}
         for k in range(start, end + 1):
             if k > start:
                 S = carried(self.growth[k - 1] * S, self.F[k - 1], self.noise[k - 1])
             sample = line.sample_at.get(int(line.events[k]))
             if sample is not None and (k > start or given or self.weights.cost == "paper"):
                 S, gain, root = root_update(S, self.H[sample], np.eye(len(self.H[sample])))
-                absorbs[k] = SampleUpdate(sample, gain, root)
+                absorbs[k] = sample, gain, root
                 known += self.energies[sample] * float(np.exp(eta * (times[k] - times[end])))
         return SolveWindow(start, end, given, absorbs, float(np.exp(-eta * length)), worst, known), S
 
@@ -188,11 +181,11 @@ class ErrorMap:
             if k > window.start:
                 e = e @ self.F[k - 1].T - d[k - 1]
                 cost = cost * self.decay[k - 1]
-            absorb = window.absorbs.get(k)
-            if absorb is not None:
-                innovation = v[absorb.sample] - e @ self.H[absorb.sample].T
-                cost = cost + np.sum((innovation @ absorb.root.T) ** 2, axis=1)
-                e = e + innovation @ absorb.gain.T
+            if k in window.absorbs:
+                sample, gain, root = window.absorbs[k]
+                innovation = v[sample] - e @ self.H[sample].T
+                cost = cost + np.sum((innovation @ root.T) ** 2, axis=1)
+                e = e + innovation @ gain.T
         terms = window.discount * window.worst * radius + window.known
         return e, np.maximum(terms - cost, 0.0) + (ROUNDING + self.weights.loose) * terms
 

@@ -343,11 +343,12 @@ def test_maximum_between_grid_points_is_not_missed():
     assert at == pytest.approx(peak, abs=1e-2)
 
 
-def test_exhausted_cells_leave_a_proven_bound():
+def test_exhausted_cells_leave_a_proven_bound(monkeypatch):
     from sampling_design.certificates.paper.observable_case import largest_flow
 
+    monkeypatch.setattr("sampling_design.certificates.paper.observable_case.CELLS", 200)
     A = np.array([[-1e6, 1e6], [0.0, -0.1]])
-    upper, _, _ = largest_flow(np.ones((1, 2)), A, np.eye(2), 10.0, cells=200)
+    upper, _, _ = largest_flow(np.ones((1, 2)), A, np.eye(2), 10.0)
     assert 2.0 - 1e-5 <= upper < 10.0
     assert largest_flow(np.zeros((1, 0)), np.zeros((0, 0)), np.zeros((0, 1)), 1.0)[0] == 0.0
 

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -181,6 +182,49 @@ def unmentioned(package: Path, besides: str) -> list[str]:
     ]
 
 
+def unpassed(package: Path) -> list[str]:
+    """Options of inner functions that no call in the package gives, neither by name nor by place."""
+    house = House(package)
+    offered = set(re.findall(r"\w+", " ".join(path.read_text() for path in package.rglob("__init__.py"))))
+    calls, names = defaultdict(list), Counter()
+    for node in (node for tree in house.trees.values() for node in ast.walk(tree)):
+        names.update([getattr(node, "attr", getattr(node, "id", None))])
+        if isinstance(node, ast.Call):
+            calls[getattr(node.func, "id", getattr(node.func, "attr", ""))].append(node)
+    found = []
+    inner = [
+        (module, each) for module, tree in house.trees.items() for each in tree.body if module not in house.open_files
+    ]
+    for module, function in inner:
+        if not isinstance(function, ast.FunctionDef) or function.name in offered or function.decorator_list:
+            continue
+        given = calls[function.name]
+        every = [key.arg for call in given for key in call.keywords]
+        starred = any(isinstance(each, ast.Starred) for call in given for each in call.args)
+        if names[function.name] > len(given) or None in every or starred:  # handed on as a whole, or with what comes
+            continue
+        a, most = function.args, max((len(call.args) for call in given), default=0)
+        places = [each.arg for each in (*a.posonlyargs, *a.args)]
+        options = [name for k, name in enumerate(places) if k >= max(most, len(places) - len(a.defaults))]
+        options += [each.arg for each, value in zip(a.kwonlyargs, a.kw_defaults, strict=True) if value is not None]
+        found += [f"{module}.{function.name}({name})" for name in options if name not in every]
+    return found
+
+
+GIVEN_ELSEWHERE = {
+    "sampling_design.certificates.form.verdict.verdict_of(work)",  # tests of what work a check may do
+    *(
+        f"sampling_design.nonlinear.simulation.simulate({each})" for each in ("u", "tolerance", "input_between")
+    ),  # users
+}
+
+
+def test_every_option_of_an_inner_function_is_given():
+    """By some call in the package, or the function is handed on; commands are called by typer."""
+    found = {each for each in unpassed(PACKAGE) if not each.startswith("sampling_design.cli.")}
+    assert found <= GIVEN_ELSEWHERE
+
+
 def test_every_definition_is_reached_from_a_door():
     assert House(PACKAGE).unreached() == []
 
@@ -226,3 +270,8 @@ def test_what_nobody_reaches_is_found(tmp_path):
         "    def asked(self): ...\n"
     )
     assert unmentioned(package, "one.asked()") == ["One._left"]
+    (package / "inner.py").write_text(
+        "def asked(a, b=1, c=2, *, d=3): return a\ndef user(e=4): return asked(0, 1, d=2), handed\n"
+        "def handed(f=5): return user()\n"
+    )
+    assert unpassed(package) == ["house.inner.asked(c)", "house.inner.user(e)"]

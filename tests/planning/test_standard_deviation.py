@@ -288,7 +288,7 @@ HOURS = {"Mon-Sun": [["07:00", "19:00"]]}
 
 
 @pytest.mark.parametrize("more", [{}, {"calendar": {"start": "2026-03-23", "zone": "UTC", "hours": HOURS}}])
-def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more):
+def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more, monkeypatch):
     plant = OSCILLATOR if not more else replace(OSCILLATOR, time_unit="h")
     asked = {**ONE, "sensors": TERMS} if not more else {**ONE, "period": 48.0, "grid": 4.0}
     problem = pose_plan(plant, sd.PlanRequirement({"position": goal(0.3)}, **asked, **more))
@@ -307,7 +307,8 @@ def test_choices_that_are_judged_one_by_one_are_those_of_the_plain_filter(more):
         assert {pair for pair, value in worst.items() if value < level} == found & set(worst)
         assert all(np.array_equal(each, each.any(axis=1)[:, None] & problem.allowed) for each in kept)
     assert len(kept) > 1
-    assert open_choices(covering, grid_filter, level, below, most=len(kept) - 1) is None
+    monkeypatch.setattr("sampling_design.planning.evidence.MOST_CHOICES", len(kept) - 1)
+    assert open_choices(covering, grid_filter, level, below) is None
 
 
 def test_what_costs_less_is_judged_choice_by_choice_and_a_forged_cost_is_not_believed(found, tmp_path):

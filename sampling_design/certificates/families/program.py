@@ -9,7 +9,7 @@ proposal: `family_proof` closes the continuum between the grid points, or names 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -43,12 +43,8 @@ SPARSE = 50_000
 """Numbers in the rows of an edge or node from which on zeros are left out: a long schedule's took gigabytes."""
 
 
-class ProgramSolution(NamedTuple):
-    """The largest value that was found, with its matrices (None: none), and how the solver ended."""
-
-    value: float
-    P: Array | None
-    solver: SolverRecord
+ProgramSolution: TypeAlias = tuple[float, Array | None, SolverRecord]
+"""The largest value that was found, its matrices (None: none), and how the solver ended."""
 
 
 @dataclass(eq=False)
@@ -138,8 +134,8 @@ class FamilyProgram:
         cost[-1] = -1.0
         solution = _solved(cost, blocks, self.budget)
         if not conic_programs.usable(solution.record) or solution.x[-1] < least:
-            return ProgramSolution(0.0, None, solution.record)
-        return ProgramSolution(float(solution.x[-1]), self._matrices(solution.x), solution.record)
+            return 0.0, None, solution.record
+        return float(solution.x[-1]), self._matrices(solution.x), solution.record
 
     def _edge_points(self) -> list[tuple[int, float]]:
         return [(k, h) for k, times in enumerate(self.edge_times) for h in times]

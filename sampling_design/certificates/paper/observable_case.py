@@ -29,7 +29,7 @@ CELLS = 20_000  # most cells ever opened; a stiffer plant keeps a proven but loo
 MODAL_CONDITION = 1e8  # modal coordinates are used only where their basis keeps half of the digits
 
 
-def largest_flow(M: Array, A: Array, N: Array, duration: float, cells: int = CELLS) -> tuple[float, float, float]:
+def largest_flow(M: Array, A: Array, N: Array, duration: float) -> tuple[float, float, float]:
     """Bound the spectral norm of M e^{As} N over s in [0, duration]: upper, lower bound, and where that is attained.
 
     Notes
@@ -40,7 +40,7 @@ def largest_flow(M: Array, A: Array, N: Array, duration: float, cells: int = CEL
     Where this is worse than |M e^{Aa} V| e^{m' 2h} |V^{-1} N| from the left end a (stiff plants after their fast
     modes died; V = I or the eigenvectors, m' = mu(V^{-1}AV)^+), that one is taken. A cell closes when its bound is
     within `RTOL` of the largest value met.
-    *Numerical aspects.* When `cells` are used up the open cells keep their bounds: looser, still proven. A final
+    *Numerical aspects.* When `CELLS` are used up the open cells keep their bounds: looser, still proven. A final
     factor 1 + 64 n eps covers rounding.
     """
     size = max(M.shape[0], N.shape[1], A.shape[0])
@@ -56,7 +56,7 @@ def largest_flow(M: Array, A: Array, N: Array, duration: float, cells: int = CEL
             best, at = float(values[top]), float(places[top])
         used += starts.size
         open_ = bounds > (1 + RTOL) * best
-        if used + 2 * int(open_.sum()) > cells or half <= np.finfo(float).eps * duration:
+        if used + 2 * int(open_.sum()) > CELLS or half <= np.finfo(float).eps * duration:
             upper = max(upper, float(bounds.max()))
             break
         upper = max(upper, float(bounds[~open_].max(initial=0.0)))

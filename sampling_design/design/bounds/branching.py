@@ -29,6 +29,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 ValueProgress = Callable[[float, float], None]  # Called with the fraction done and the bound
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
 _FEW_STATES = 6  # beyond, from sooner on: what is seen is of so high a degree in the differences of times
+_MET = 1e-3  # how near the target a bound ends all cuts, relative
 _SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows that follow their samples too
 _TINY_BOX = 0.1  # of a mean gap: by these alone
 _STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
@@ -61,11 +62,10 @@ def narrowed(
     steps: int,
     budget: Budget = ENDLESS,
     progress: ValueProgress | None = None,
-    rtol: float = 1e-3,
     most: int | None = None,
     near: float = 0.0,
 ) -> UpperBound:
-    """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
+    """Cut boxes until the bound is within `_MET` of `target`, `steps` cuts are made or time is up.
 
     Where the bound is `near` is said, nothing is cut once it is that share above the target, and up to `most` cuts are
     made before, as long as it comes nearer. An interrupt is raised as `DesignInterrupt`, with the bound held by then.
@@ -73,14 +73,14 @@ def narrowed(
     bounds are near anyway where samples are many. Boxes know no price of cost: under a limit each choice of what the
     samples measure is bounded by itself, unless there are too many.
     """
-    if steps < problem.samples or not zoned(problem) or bound.value <= target * (1 + rtol):
+    if steps < problem.samples or not zoned(problem) or bound.value <= target * (1 + _MET):
         return bound
     choices = affordable_choices(problem) if problem.is_costly else []
     posed = [changed(problem, {"chosen": chosen}) for chosen in choices]
     if problem.is_costly and not posed:
         return bound
     try:
-        tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), budget, progress)
+        tree = _rooted(problem, posed or [problem], bound, target * (1 + _MET), budget, progress)
     except KeyboardInterrupt:
         raise DesignInterrupt(bound) from None
     if tree is None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.half_spaces import holds_a_point
-from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -108,17 +105,13 @@ def own_box(key: str, box: object, size: int) -> Box:
     """
     if box is None:
         box = (np.full(size, -np.inf), np.full(size, np.inf))
-    lower, upper = (_side(key, side, size) for side in _pair(key, box))
+    pair = box.tolist() if hasattr(box, "tolist") else box
+    sides = checks.entries(f"bounds[{key!r}]", pair, (2,), "a pair (lower, upper)")
+    lower, upper = (_side(key, side, size) for side in sides)
     if np.any(np.isnan(lower)) or np.any(np.isnan(upper)) or np.any(lower > upper):
         raise ArgumentError(f"`bounds[{key!r}]` must be (lower, upper) with lower <= upper.")
     lower.flags.writeable = upper.flags.writeable = False
     return lower, upper
-
-
-def _pair(key: str, box: object) -> Sequence[object]:
-    if not isinstance(box, (Sequence, np.ndarray)) or is_text(box) or len(box) != 2:
-        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {checks.described(box)}.")
-    return box  # type: ignore[return-value]
 
 
 def drawn(lower: Array, upper: Array, scales: Array, count: int, rng: np.random.Generator) -> Array:

@@ -21,7 +21,8 @@ def test_an_interval_at_an_earlier_time_is_what_a_linear_program_says(seed):
     n, p = int(rng.integers(1, 4)), int(rng.integers(1, 3))
     A, B, C, G = (rng.normal(size=s) for s in ((n, n), (n, 1), (p, n), (n, 1)))
     A -= np.eye(n) * (np.linalg.eigvals(A).real.max() + rng.choice([-0.4, 0.3]))
-    times = [0.0, *np.cumsum(rng.uniform(0.3, 0.9, 6)).tolist()]
+    later, origin = [0.0, *np.cumsum(rng.uniform(0.3, 0.9, 6)).tolist()], 1.7e9 * (seed % 2)
+    times = [origin + t - origin for t in later]  # as a record holds them
     at = times[3] if seed % 2 else times[2] + 0.2
     inputs = [(times[1], rng.normal(size=1)), (times[4], rng.normal(size=1))]
     marks = sorted({*times, at})
@@ -34,7 +35,7 @@ def test_an_interval_at_an_earlier_time_is_what_a_linear_program_says(seed):
     rows = [(whole.row(t, i), y[k, i] - 0.1, y[k, i] + 0.1) for k, t in enumerate(times) for i in range(p)]
     start = [(None, None) if free else (-1, 1)] * n
     low, high = whole.ends(c, at, rows, start + [(-0.2, 0.2)] * (whole.width - n))
-    x, unit, origin = 10.0 ** rng.integers(-6, 7, n), 10.0 ** rng.integers(-6, 7), 1.7e9 * (seed % 2)
+    x, unit = 10.0 ** rng.integers(-6, 7, n), 10.0 ** rng.integers(-6, 7)
     plant = sd.Plant(A * x[:, None] / x, C / x * unit, B=B * x[:, None], G=G * x[:, None])
     u = dict(inputs)
     record = [(origin + t, own * unit, u.get(t)) for t, own in zip(times, y, strict=True)]

@@ -169,7 +169,7 @@ class SampledSystem:
         """z_0 with what is known exactly of it put right."""
         if not self.exact_at_start.any():
             return z
-        return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
+        return np.asarray(np.linalg.solve(self.L[0], np.where(self.exact_at_start, 0.0, self.L[0] @ z)))
 
     @cached_property
     def lasting(self) -> LastingResponses | None:

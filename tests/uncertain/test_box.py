@@ -397,3 +397,20 @@ def test_growth_beyond_doubles_is_refused_in_one_sentence():
     box = UncertainPlant(spiral, [UncertainParameter("a", -0.1, 0.1, A=[[1, 0], [0, 0]])])
     with pytest.raises(ArgumentError, match=r"up to t = 125: unstable modes of some plant of the box overflow"):
         window_sigma(box, PeriodicSchedule([60.0]), 130.0)
+
+
+@pytest.mark.parametrize("seconds", [1e-3, 6.0, 120.0])
+def test_accuracy_over_a_box_keeps_to_its_budget_where_every_plant_takes_all_it_is_given(monkeypatch, seconds):
+    clock = [0.0]
+
+    def spent(plant, schedule, *, of, budget, **others):
+        clock[0] += budget
+        return SimpleNamespace(lower=np.zeros(len(of)), upper=np.ones(len(of)))
+
+    monkeypatch.setattr(accuracy_over_box, "guaranteed_accuracy", spent)
+    monkeypatch.setattr("sampling_design.records.budget.now", lambda: clock[0])
+    found = accuracy_over_box.accuracy_over_box(
+        oscillator(), PeriodicSchedule([0.6]), w_bound=[0.1, 0.1], v_bound=[0.1], budget=seconds
+    )
+    assert not found.closed.any()
+    assert clock[0] <= 1.5 * seconds

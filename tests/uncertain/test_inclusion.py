@@ -63,6 +63,14 @@ def test_an_uncertain_oscillator_is_certified(certificate):
     assert certificate.horizon("paper").minimum == pytest.approx(2 * np.log(2 * certificate.lam_proven) / 0.1)
 
 
+@pytest.mark.parametrize("schedule", few([GapRange(0.5, 1.5), PeriodicSchedule([1.0, 0.7])], 0))
+def test_a_set_with_one_member_is_the_plant(schedule):
+    alone = certify(OSCILLATOR, schedule, eta=0.1)
+    for given in ({"vertices": [OSCILLATOR]}, {"parameters": [replace(STIFFNESS, low=1.0, high=1.0)]}):
+        found = certify(UncertainPlant(OSCILLATOR, **given), schedule, eta=0.1)
+        assert found.to_dict() == alone.to_dict()
+
+
 def test_no_switching_plant_violates_it(certificate):
     rng = np.random.default_rng(0)
     worst = max(inclusions.adversary(certificate, members(certificate), rng) for _ in range(40))

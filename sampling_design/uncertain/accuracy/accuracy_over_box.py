@@ -38,6 +38,8 @@ SECONDS = 120.0
 RTOL = 0.1
 """Default width of the brackets, relative."""
 FINER = 0.4  # share of the tolerance that the bracket of each single plant may take
+PART, SHORTEST = 0.4, 0.05
+"""Share of the seconds left that one plant may take; and of all seconds, what it may take once they are spent."""
 GUESSES = (1.02, 1.1, 1.4, 2.5)
 """Factors by which what the mismatch moves is taken larger than at the centre, one after the other."""
 MOST_CORNERS = 2  # parameters up to which the corners of the box are looked at first
@@ -138,7 +140,8 @@ def accuracy_over_box(
     start = BoxCells(middle[None], whole[None], np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
 
     def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
-        found = guaranteed_accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
+        left = given.seconds_left(SHORTEST * given.seconds, PART)
+        found = guaranteed_accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol, budget=left)
         return found.lower, found.upper
 
     def enough(bound: Array, best: Array) -> Mask:
@@ -149,7 +152,7 @@ def accuracy_over_box(
             worst[k] = theta
 
     def judged(cell: BoxCells) -> tuple[Array, Array]:
-        low, up = _cell(plant, cell.u[0], cell.half[0], (w, v), rows, FINER * rtol, one)
+        low, up = _cell(plant, cell.u[0], cell.half[0], (w, v), rows, FINER * rtol, one, given)
         attained(cell.u[0], low)
         return -up[None], cell.half * _weights(plant)
 
@@ -164,6 +167,8 @@ def accuracy_over_box(
     search = LeastOverCells(start, np.full((1, len(rows)), -np.inf), enough, given)
     search.attain(np.zeros(len(rows)))
     for corner in _corners(plant):
+        if given.left < (1 - PART) * given.seconds:
+            break  # the rest is for what is proven of all plants
         attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
     status = search.run(judged, cut, look)
     lower, top, cells = -search.best, -search.lower, search.judged
@@ -190,9 +195,10 @@ def _corners(plant: UncertainPlant) -> list[Array]:
 
 
 def _cell(
-    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: RequestedRows, rtol: float, one: OnePlant
-) -> Both:
-    """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven."""
+    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: RequestedRows, rtol: float, one: OnePlant,
+    given: Budget,
+) -> Both:  # fmt: skip
+    """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven in time."""
     w, v = bounds
     centre = plant.at(np.clip(theta, plant.low, plant.high))
     into, driving = mismatch(plant, half)
@@ -212,6 +218,8 @@ def _cell(
         _, found = one(wide, np.concatenate([w, beta[:moves], *[w for _ in driven]]), noise, matrix, rtol)
         if np.all(found[count:] < beta) or not len(beta):
             return low[:count], found[:count]
+        if given.over:
+            break
     return low[:count], np.full(count, np.inf)
 
 

@@ -8,7 +8,9 @@ from typing import Unpack
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.bound_weights import CertifyOptions
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.exact.given_weights import above_one, certifiable_schedule, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.families.certify_family import best_rates
@@ -194,9 +196,23 @@ def certify_plant(
     P2: object = None,
     memory: object = None,
     **options: Unpack[CertifyOptions],
-) -> InclusionCertificate:
-    """`certify` of a plant that is not exactly known: `certify_inclusion` of the schedule in its terms."""
-    return certify_inclusion(plant, in_terms(plant, schedule, P2=P2, memory=memory), **options)
+) -> SampledCertificate:
+    """`certify` of a plant that is not exactly known: `certify_inclusion` of the schedule in its terms.
+
+    Of a set with one member it is that of the member, whose least P1 is known.
+    """
+    schedules = in_terms(plant, schedule, P2=P2, memory=memory)
+    return (
+        certify(plant.centre, schedules, **options)
+        if is_one_plant(plant)
+        else certify_inclusion(plant, schedules, **options)
+    )
+
+
+def is_one_plant(plant: LinearInclusion) -> bool:
+    """Whether the set has one member, which is its centre."""
+    known = plant.members(np.random.default_rng(0))
+    return known.complete and all(bool(np.all(each == each[:1])) for each in (known.dynamics, known.outputs))
 
 
 def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Schedules:

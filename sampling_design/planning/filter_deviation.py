@@ -31,6 +31,7 @@ ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more peri
 BEYOND_LEVEL = 1e-6  # share by which a variance is above a level at least where that counts as proven: rounding
 PARTS = 4  # of a step, at whose ends what a gap leaves unknown is looked at
 ENTRIES = 4_000_000  # numbers that are looked at together, about
+NOT_DRIVEN = 1e-12  # share of its size up to which what noise drives by itself counts as rounding
 MOST_REACH = 1e9  # what is known no better than this many tolerances is not known
 
 
@@ -40,9 +41,15 @@ class GridFilter:
     def __init__(self, problem: PlanProblem, discrete: DiscretePlant, work: Budget | None = None):
         self.problem, self.discrete = problem, discrete
         self.work = Budget(counted=True) if work is None else work
-        F, Q = discounted_flow(discrete.A, discrete.N @ discrete.N.T, [discrete.step])
+        V, r = reached_first(discrete.A, discrete.N)
+        self.S, self.A, self.N = discrete.S @ V, V.T @ discrete.A @ V, V.T @ discrete.N
+        self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T))) @ V
+        self.A[r:, :r], self.N[r:] = 0.0, 0.0
+        apart = np.linalg.norm(self.rows[:, :r], axis=1) <= NOT_DRIVEN * np.linalg.norm(self.rows, axis=1)
+        self.rows[apart, :r] = 0.0
+        F, Q = discounted_flow(self.A, self.N @ self.N.T, [discrete.step])
         self.F, self.Q = F[0], symmetrise(Q[0])
-        self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
+        self.F[r:, :r], self.Q[r:], self.Q[:, r:] = 0.0, 0.0, 0.0
 
     @property
     def decides(self) -> bool:
@@ -63,7 +70,7 @@ class GridFilter:
                 P = propagate(P, self.F, self.Q)
                 before[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows)
                 for j, mask in read[i]:
-                    h = self.discrete.S[j]
+                    h = self.S[j]
                     Ph = P @ h
                     P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
                 after[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows) if read[i] else before[i]
@@ -117,7 +124,7 @@ class GridFilter:
 
     def measured(self, P: Array, read: Mask) -> Array:
         """Covariances (B, n, n) after samples that `read` (B, p)."""
-        for h, mask in zip(self.discrete.S, read.T, strict=True):
+        for h, mask in zip(self.S, read.T, strict=True):
             Ph = P @ h
             P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
         return P
@@ -162,7 +169,7 @@ class GridFilter:
         """Of each goal, at PARTS times of every step ahead: its row (M s, n) there, and what noise adds (M s,)."""
         F, Q = (each[:-1] for each in self._gaps)
         parts = np.arange(1, PARTS + 1) / PARTS * self.discrete.step
-        flow, noise = discounted_flow(self.discrete.A, self.discrete.N @ self.discrete.N.T, parts)
+        flow, noise = discounted_flow(self.A, self.N @ self.N.T, parts)
         found = list[tuple[Array, Array]]()
         for g, goal in enumerate(self.problem.goals):
             row, first = self.rows[g] / goal.tolerance, 0 if goal.at == "all times" else PARTS - 1
@@ -234,9 +241,9 @@ class GridFilter:
         for _, after in reversed(periods):
             for k in range(i, -1, -1):
                 if not skip:  # dV/dz = -(h'P lam)^2, and lam before the samples is (I - H'z H P) lam
-                    gain = self.discrete.S @ after[k] @ lam
+                    gain = self.S @ after[k] @ lam
                     slope[k] += gain**2
-                    lam = lam - self.discrete.S.T @ (z[k] * gain)
+                    lam = lam - self.S.T @ (z[k] * gain)
                 lam, skip = self.F.T @ lam, False
             i = M - 1
         reach = float(np.sqrt(max(value + float(np.sum(slope * z)), 0.0)))
@@ -251,7 +258,7 @@ class GridFilter:
         n, M = self.discrete.n, len(z)
         P, last = np.zeros((n, n)), 0.0
         row = self.rows[g] / self.problem.goals[g].tolerance
-        information = np.einsum("mp,pi,pj->mij", z, self.discrete.S, self.discrete.S)
+        information = np.einsum("mp,pi,pj->mij", z, self.S, self.S)
         some, periods = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
         for _ in range(TANGENT_PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), M * n)
@@ -270,6 +277,24 @@ class GridFilter:
                 break
             last = now
         return periods
+
+
+def reached_first(A: Array, N: Array) -> tuple[Array, int]:
+    """Coordinates z = V s whose first r entries are all that noise N reaches, V orthonormal, and r.
+
+        im V_r = im [N, A N, A^2 N, ...]
+
+    What nothing drives is then exactly 0 in what begins at 0: rounding would drive it, and it may grow.
+    """
+    V, r, more = np.zeros((len(A), 0)), 0, N
+    while True:
+        left, sizes, _ = np.linalg.svd(more - V @ (V.T @ more), full_matrices=False)
+        fresh = left[:, sizes > NOT_DRIVEN * np.linalg.norm(more, 2)] if sizes.size else left
+        V = np.linalg.qr(np.hstack([V, fresh]))[0]
+        if not fresh.shape[1]:
+            break
+        r, more = V.shape[1], A @ V
+    return (np.linalg.qr(np.hstack([V, np.identity(len(A))]))[0] if r < len(A) else np.identity(r)), r
 
 
 def own(goal: RowGoal) -> bool:

@@ -25,7 +25,7 @@ from sampling_design.planning.evidence import (
     trajectory_to_dict,
 )
 from sampling_design.planning.files import read_plan
-from sampling_design.planning.filter_deviation import GridFilter
+from sampling_design.planning.filter_deviation import GridFilter, reached_first
 from sampling_design.planning.plan_record import deviation_of, without_limits
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of, proven_plan
@@ -388,3 +388,38 @@ def test_the_search_ends_where_a_growing_state_that_nothing_drives_refutes_choic
     assert np.array_equal(chosen, twice)
     assert not none
     assert search._one_by_one(1.0, problem.cost(twice)) == (None, True)  # one sample, which leaves 1.14 of a tolerance
+
+
+def test_a_bound_is_the_same_in_any_unit_where_nothing_drives_a_growing_state():
+    A, G = np.diag([0.7856008, 0.22671526]), np.array([[0.0, 0.0], [-2.40019087, -1.55657975]])
+    C, found = np.array([[2.08124873, -1.33726808], [0.12535155, 0.54422123]]), []
+    units = (1.0, [1.0, 1.0], [1.0, 1.0]), (1e8, [1.0, 1e-5], [1e3, 1e-8])
+    for hour, x, y in (*units, (1e-6, [1e9, 1e9], [1e-9, 1.0])):
+        x, y = np.array(x), np.array(y)
+        plant = sd.Plant(A * x[:, None] / x / hour, C * y[:, None] / x, G=G * x[:, None] / hour)
+        asked = {f"x{i + 1}": goal(e * x[i], at="after each sample") for i, e in enumerate((6.0944, 3.91249))}
+        terms = {
+            f"y{j + 1}": {"noise_deviation": e * y[j], "price": c} for j, (e, c) in enumerate(((0.1, 3.0), (0.3, 0.0)))
+        }
+        wanted = sd.PlanRequirement(
+            asked, period=3 * hour, grid=0.5 * hour, w_intensity=0.01 * hour, sensors=terms, visit_price=2.0
+        )
+        plan = sd.plan_samples(plant, wanted, search_seconds=0.1, certificate=False, robustness=False, from_start=False)
+        found.append((plan.cost, plan.bound.cost.value, round(plan.bound.ratio.level, 4)))
+    assert found == found[:1] * 3
+
+
+def test_what_noise_reaches_comes_first():
+    rng, sizes = np.random.default_rng(0), set()
+    for _ in range(60):
+        n = int(rng.integers(1, 6))
+        r = int(rng.integers(0, n + 1))
+        A, N, T = rng.standard_normal((n, n)), rng.standard_normal((n, 2)), np.linalg.qr(rng.standard_normal((n, n)))[0]
+        A[r:, :r], N[r:] = 0.0, 0.0
+        V, found = reached_first(T @ A @ T.T, T @ N)
+        assert found == r
+        assert np.allclose(V.T @ V, np.eye(n), rtol=0, atol=1e-12)
+        assert (V.T @ T @ A @ T.T @ V)[r:, :r] == pytest.approx(np.zeros((n - r, r)), abs=1e-9)
+        assert (V.T @ T @ N)[r:] == pytest.approx(np.zeros((n - r, 2)), abs=1e-9)
+        sizes.add(n - r)
+    assert {0, 1, 2} <= sizes

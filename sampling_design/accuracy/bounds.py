@@ -119,12 +119,12 @@ class SignalBounds:
 
 
 def _refuse_missing(name: str, value: Bound, names: tuple[str, ...]) -> Given:
-    if value is None:
+    if value is None and names:
         raise ArgumentError(
             f"`{name}` is missing: without a bound on {', '.join(names)} nothing can be guaranteed. "
             "Give 0 where there is none."
         )
-    return value
+    return 0.0 if value is None else value
 
 
 def _one(name: str, value: Given, names: tuple[str, ...]) -> tuple[Array, Array, bool]:

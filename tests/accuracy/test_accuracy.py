@@ -118,6 +118,15 @@ def test_bad_input_is_refused(change, match):
         sd.guaranteed_accuracy(OSCILLATOR, given.pop("schedule"), **given)
 
 
+def test_a_plant_that_nothing_drives_needs_no_bound_on_what_does():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=np.zeros((2, 0)))
+    asked = {"initial_error": 1.0, "v_bound": 0.1}
+    found = [
+        sd.guaranteed_accuracy(plant, sd.Schedule([0.0, 1.0, 2.0]), **asked, **more) for more in ({}, {"w_bound": 0})
+    ]
+    assert np.array_equal(found[0].upper, found[1].upper)
+
+
 def test_a_name_of_a_state_and_of_another_output_is_refused():
     plant = sd.Plant(-np.eye(2), [[1.0, 1.0]], states=["level", "salt"], outputs=["level"])
     with pytest.raises(ArgumentError, match="a state and an output that is not that state alone"):

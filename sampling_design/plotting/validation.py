@@ -45,7 +45,8 @@ def _errors(report: ValidationReport, ax: Axes) -> Axes:
         ax.plot(report.times, report.bound, color=style.PROVEN, linewidth=1.6, label="proven for every run")
     ax.set_yscale("log")
     if top > 0:
-        ax.set_ylim(bottom=FLOOR * top, top=3 * top)
+        drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines])
+        ax.set_ylim(bottom=max(FLOOR * top, np.min(drawn[drawn > 0]) / 3), top=3 * top)
     broken = len(report.broken)
     verdict = f"{broken} promise{'s' * (broken != 1)} broken" if broken else "not all promises were checked"
     verdict = "all promises held" if report.passed else verdict

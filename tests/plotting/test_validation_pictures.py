@@ -78,6 +78,8 @@ def test_a_wide_start_does_not_rule_the_panels_of_a_validation():
 def test_a_validation_shows_errors_below_the_bound_and_a_run_inside_its_tubes(tmp_path):
     found = report()
     axes = plotting.draw(found)
+    drawn = np.concatenate([line.get_ydata() for line in axes[0].lines])
+    assert 2.0 < np.nanmin(drawn) / axes[0].get_ylim()[0] < 4.0  # no empty decades
     assert len(axes) == 3
     assert axes[0].get_yscale() == "log"
     lines = {line.get_label(): line.get_ydata() for line in axes[0].lines}

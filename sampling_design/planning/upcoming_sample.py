@@ -318,7 +318,7 @@ def next_sample(
     last = taken.times[-1] if taken is not None and taken.times.size else 0.0
     at = float(last) if now is None else plan.elapsed("now", now)
     if taken is not None and taken.times.size and at < last - 1e-9 * plan.problem.step:
-        raise ArgumentError(f"`now` must not lie before the last sample {_said(plan, last)}, got {_said(plan, at)}.")
+        raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = _with_awaited(plan, taken, [*awaited], at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     run = NextChoices(plan, _history(plan, taken, at), at, limit)
@@ -368,12 +368,6 @@ class _RecordedSamples(NamedTuple):
     times: Array
     measured: Mask
     known: Mask
-
-
-def _said(plan: Plan, t: float) -> str:
-    """A time since the plan's start, as a date where it has a calendar."""
-    calendar = plan.requirement.calendar
-    return repr(float(t)) if calendar is None else f"{calendar.date(plan.minutes(float(t))):%Y-%m-%d %H:%M}"
 
 
 def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None) -> _RecordedSamples | None:

@@ -26,6 +26,8 @@ PIECES = 1 << 14  # tokens of JSON that are written at a time
 
 FRAME = "the frame"  # where rows stand that no file holds
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_WITH_UNIT = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)? ?[^\W\d_].*", re.ASCII | re.IGNORECASE)
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}([., ']\d{3})+([.,]\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 _MARKED = {  # a cell between separators that holds a number with this decimal mark
     mark: re.compile(
@@ -197,6 +199,15 @@ def decimal(cell: str) -> float | None:
         return strict.real(cell) if _DECIMAL.fullmatch(cell) else None
     except strict.BadFile:
         return None
+
+
+def number_slip(cell: str) -> str:
+    """The likely slip in a cell that holds no number."""
+    if (point := cell.replace(",", ".")) != cell and decimal(point) is not None:
+        return f" Write {point}, or separate cells by semicolons: then a comma is a decimal one."
+    if _THOUSANDS.fullmatch(cell):
+        return " Thousands are not separated."
+    return " A cell holds the number alone; its unit stands in the plant." if _WITH_UNIT.fullmatch(cell) else ""
 
 
 def decimals(cells: Sequence[str], commas: bool, blank: bool) -> Array | None:

@@ -23,16 +23,8 @@ import numpy as np
 
 from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import (
-    described,
-    held_in,
-    is_ours,
-    is_unicode,
-    meant,
-    of_file,
-    takes,
-    unmet_protocol,
-)
+from sampling_design.records import checks
+from sampling_design.records.checks import described, is_unicode, meant, of_file, takes, unmet_protocol
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -292,7 +284,7 @@ def _exchanged(
 
     def fits(check: Check | None, value: object) -> bool:
         if check is None:  # what becomes an array, which nothing of ours does
-            return not is_ours(type(value))
+            return not checks.is_ours(type(value))
         try:
             check(value)
         except ArgumentError:
@@ -377,12 +369,12 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     asked = [kind for kind in _classes(hint) if kind is not type(None)]
     alone = asked[0] if len(asked) == 1 and getattr(asked[0], "_is_protocol", False) else object
     unmet = unmet_protocol(alone)
-    own = tuple(each for kind in asked if is_ours(each := typing.get_origin(kind) or kind))
+    own = tuple(each for kind in asked if checks.is_ours(each := typing.get_origin(kind) or kind))
     maker = next((f" {said} makes one." for kind in own if (said := getattr(kind, "_maker", ""))), "")
 
     def beside(value: object) -> str:
         """What a value lacks; of a record of ours in the place of another, which part is meant, or who makes one."""
-        return unmet(value) or held_in(name, value, own) or (maker if is_ours(type(value)) else "")
+        return unmet(value) or checks.held_in(name, value, own) or (maker if checks.is_ours(type(value)) else "")
 
     return check
 

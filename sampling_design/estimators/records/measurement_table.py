@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
 from itertools import chain, islice
@@ -31,6 +30,7 @@ LIMITS = {"<": "<", "≤": "<", ">": ">", "≥": ">"}  # signs before a limit of
 BLOCK = 4096  # lines that are held as text at a time; what they say is held as numbers
 _MANY = -1  # stands for the line where the dates of many rows are read at once
 LONGEST_LINE = 100_000  # Characters; a longer line is read by itself, where a cell beyond all measure is refused
+NOT_READ = " A sensor that was not read has a column of empty cells, an input one with its value in the first row."
 
 
 @runtime_checkable
@@ -192,11 +192,9 @@ class MeasurementTable:
             return
         for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
-                more = self.mark == "," and len(cells) > len(self.header)
-                slip = " Decimals have a point, or cells are separated by semicolons." if more else ""
-                came = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
+                slip = " Decimals have a point." if self.mark == "," and len(cells) > len(self.header) else ""
                 raise FileFormatError(
-                    f"{self.where}: {row_name(self.where, number)} has {came}, expected {len(self.header)}.{slip}",
+                    f"{self.where}: {row_name(self.where, number)} has {len(cells)} cells, expected {len(self.header)}.{slip}",
                     self.where,
                 )
             cell = dict(zip(self.header, cells, strict=True))
@@ -402,9 +400,6 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
     return stamps[0]
 
 
-NOT_READ = " A sensor that was not read has a column of empty cells, an input one with its value in the first row."
-
-
 def _limit(cell: str) -> tuple[str, str]:
     """The limit that a cell states, "<", ">" or none, and what stands behind its sign.
 
@@ -413,10 +408,6 @@ def _limit(cell: str) -> tuple[str, str]:
     sign = LIMITS.get(cell[:1], "")
     number = cell[1:].removeprefix("=" if cell[:1] == sign else "") if sign else cell
     return sign, number.strip()
-
-
-_WITH_UNIT = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)? ?[^\W\d_].*", re.ASCII | re.IGNORECASE)
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}([., ']\d{3})+([.,]\d+)?", re.ASCII)
 
 
 def _number(where: str, line: int, name: str, cell: str, blank: bool = False) -> float:
@@ -429,12 +420,7 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
         hint = " Leave the cell empty if nothing was measured." if blank else ""
         if name == "time" and _is_date(cell):
             hint = " Dates stand in a column named date."
-        if (point := cell.replace(",", ".")) != cell and file_io.decimal(point) is not None:
-            hint = f" Write {point}, or separate cells by semicolons: then a comma is a decimal one."
-        elif _THOUSANDS.fullmatch(cell):
-            hint = " Thousands are not separated."
-        elif _WITH_UNIT.fullmatch(cell):
-            hint = " A cell holds the number alone; its unit stands in the plant."
+        hint = file_io.number_slip(cell) or hint
         raise FileFormatError(f"{where}: {name} in {row_name(where, line)} is not a number: {cell!r:.60}.{hint}", where)
     return value
 
@@ -462,8 +448,6 @@ def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> date
         slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
         if not cell:
             raise FileFormatError(f"{where}: the date {at} is missing.", where) from None
-        if file_io.decimal(cell) is not None:
-            slip = " A number is a time, in a column named time; a spreadsheet shows a date as yyyy-mm-dd hh:mm."
         raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.{slip}", where) from None
     return date.replace(tzinfo=zone) if date.tzinfo is None else date
 

@@ -193,10 +193,8 @@ class MeasurementTable:
         for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
                 slip = " Decimals have a point." if self.mark == "," and len(cells) > len(self.header) else ""
-                raise FileFormatError(
-                    f"{self.where}: {row_name(self.where, number)} has {len(cells)} cells, expected {len(self.header)}.{slip}",
-                    self.where,
-                )
+                came = f"{len(cells)} cells, expected {len(self.header)}.{slip}"
+                raise FileFormatError(f"{self.where}: {row_name(self.where, number)} has {came}", self.where)
             cell = dict(zip(self.header, cells, strict=True))
             self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()

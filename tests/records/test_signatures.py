@@ -356,7 +356,7 @@ def estimator() -> sd.KalmanFilter:
         (lambda: sd.NonlinearPlant(len, len, 3), "`sizes` must be a table of names and values, got int 3"),
         (lambda: ThyroidReport(("a",), 0, 1.0, 0, ()).ratio("b"), "`case` must be one of a, got 'b'"),
         (lambda: from_linear(OSCILLATOR).with_bounds(states=([[1.0]], 2.0)), "of 2 entries each"),
-        (lambda: from_linear(OSCILLATOR).with_bounds(states=3), "must be a pair .lower, upper., got int 3"),
+        (lambda: from_linear(OSCILLATOR).with_bounds(states=3), "must hold a pair .lower, upper., got int 3"),
         (lambda: replace(family(), graph=3), "`graph` must be a PathCompleteGraph, got int 3"),
         (
             lambda: EstimateRecord.collect(sd.Plant([[1.0]], [[1.0]]), [estimator().update(0.5, [0.3])]),

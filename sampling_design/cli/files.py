@@ -11,7 +11,6 @@ import sampling_design as sd
 from sampling_design.checkers.check import verdict
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
-from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import from_json, from_toml, has_cells, read_text
 from sampling_design.schedules.files import MARK
@@ -194,6 +193,8 @@ def check_origins(record: Measurements, schedule: AnySchedule) -> None:
             "give the file a column `date`, or the schedule no origin."
         )
     if schedule.origin is not None and (first := float(record.times.min(initial=0.0))) < 0:
+        from sampling_design.estimators.records.measurement_table import time_or_date
+
         begins = time_or_date(record.origin, first, record.plant.time_unit)
         raise ArgumentError(
             f"`MEASUREMENTS` begin at {begins}, before time 0 of `SCHEDULE` at {schedule.origin}. Is it the right year?"

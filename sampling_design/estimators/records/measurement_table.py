@@ -193,8 +193,9 @@ class MeasurementTable:
         for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
                 slip = " Decimals have a point." if self.mark == "," and len(cells) > len(self.header) else ""
-                came = f"{len(cells)} cells, expected {len(self.header)}.{slip}"
-                raise FileFormatError(f"{self.where}: {row_name(self.where, number)} has {came}", self.where)
+                row, expected = row_name(self.where, number), len(self.header)
+                came = f"{self.where}: {row}"
+                raise FileFormatError(f"{came} has {len(cells)} cells, expected {expected}.{slip}", self.where)
             cell = dict(zip(self.header, cells, strict=True))
             self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()

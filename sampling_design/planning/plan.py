@@ -304,6 +304,7 @@ class _Planning:
                     search.refused.append(chosen)
                 elif self.problem.cost(chosen) < self.problem.cost(last.chosen):
                     last = found
+        search.complete &= len(search.refused) < MOST_REFUSED
         return last
 
     def cheapest(self) -> Plan:

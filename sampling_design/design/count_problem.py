@@ -74,12 +74,14 @@ def bounded(
     samples: int,
     budget: Budget = ENDLESS,
     progress: Callable[[float], None] | None = None,
+    counted: Array | None = None,
 ) -> CountProblem:
-    """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for.
+    """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for, `counted`
+    what of its state counts.
 
     `progress` is called with a first bound, before smaller ones are sought.
     """
-    canon = canonical(pose(plant, requirement, samples))
+    canon = canonical(pose(plant, requirement, samples, counted=counted))
     placed = (relax_costly if canon.inside.is_costly else relax_placed)(
         canon.inside, seconds=budget.seconds_left(share=1 / 3)
     )

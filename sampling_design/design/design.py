@@ -28,6 +28,7 @@ from sampling_design.errors import InfeasibleRequirementError, SolverError
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import rtol_and_seconds
 from sampling_design.observability.windows.window_record import WindowSigma
+from sampling_design.plants.functional import counted_rows
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -272,7 +273,10 @@ class _DesignRun:
             self.say(fraction, f"bounding {samples} samples per period")
 
         self.guarded(lambda: self.begin(samples, fraction))
-        found = self.guarded(lambda: bounded(self.designed, self.requirement, samples, self.budget, bounded_by))
+        counted = counted_rows(self.split)
+        found = self.guarded(
+            lambda: bounded(self.designed, self.requirement, samples, self.budget, bounded_by, counted)
+        )
         self.bound = found.bound.value
         return found
 
@@ -286,7 +290,7 @@ class _DesignRun:
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
             if best is not None and sized is not None and self.budget.over:
-                canon = canonical(pose(self.designed, self.requirement, samples))
+                canon = canonical(pose(self.designed, self.requirement, samples, counted=counted_rows(self.split)))
                 bounds[samples] = quick_bound(canon.inside, sized.relaxation).brought_back(canon)
                 continue
             sized = self.sized(samples, low)

@@ -15,6 +15,7 @@ from sampling_design.design.schedule_design import ScheduleDesign, designed_plan
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.window_record import WindowSigma
+from sampling_design.plants.functional import counted_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -250,7 +251,8 @@ def _bounds(design: ScheduleDesign, periods: int, every_period: bool, budget: Bu
             if every_period:
                 found = _fewer(design, required, budget, rng)
             else:
-                found = bounded(plant, required, periods * len(schedule) - 1, budget).bound.value
+                count = periods * len(schedule) - 1
+                found = bounded(plant, required, count, budget, counted=counted_rows(design.split)).bound.value
             whole = pose(plant, required, periods * len(schedule), check=False)
             roomy = key is None and periods == 1 and whole.always_has_room  # else fewer may see more than the design
             known[key] = min(found, design.upper_bound) if roomy else found

@@ -19,6 +19,7 @@ from sampling_design.observability.count.zero_count import ZeroCountBound, defau
 from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_of
 from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.windows.window_sigma import deviations_of, window_sigma
+from sampling_design.plants.functional import counted_rows
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
@@ -148,7 +149,7 @@ class ScheduleDesign(PlainRecord):
     def problem(self) -> DesignProblem:
         """The numbers of the design, posed anew from plant and requirement."""
         samples = 1 if self.schedule is None else len(self.schedule)
-        return pose(designed_plant(self.split), self.requirement, samples)
+        return pose(designed_plant(self.split), self.requirement, samples, counted=counted_rows(self.split))
 
     @property
     def claim(self) -> Claim:
@@ -204,7 +205,10 @@ class ScheduleDesign(PlainRecord):
             counts = rival_counts(plant, self.requirement)
             if {len(self.schedule), *self.other_counts} < set(counts):
                 return False
-            rest = [b.value_for(pose(plant, self.requirement, k, check=False)) for k, b in self.other_counts.items()]
+            rest = [
+                b.value_for(pose(plant, self.requirement, k, check=False, counted=counted_rows(self.split)))
+                for k, b in self.other_counts.items()
+            ]
         else:
             rest = []
         return max([self.bound.value_for(self.problem), *rest]) <= self.upper_bound * (1 + 1e-6)

@@ -169,6 +169,15 @@ def weighed_over(split: ModalSplit, window: float) -> ModalSplit:
     return split_modes(plant.beside(window, split), split.decay_rate)
 
 
+def counted_rows(split: ModalSplit) -> Array | None:
+    """Return what of the retained state counts in sigma, in its scales, (k, n_r); None where all of it does."""
+    match split.plant:
+        case FunctionalPlant() as plant:
+            basis = split.basis_retained * split.retained.states.scales / plant.states.scales[:, None]
+            return np.asarray(basis[: plant.rows])
+    return None
+
+
 def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Plant, Array, Index]:
     """Return the quotient of a plant by an invariant subspace that C does not show, the map onto it, and what it keeps.
 

@@ -7,9 +7,20 @@ from scipy.optimize import differential_evolution
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import branching
 from sampling_design.design.bounds.branching import narrowed
-from sampling_design.design.bounds.evidence import UpperBound, placed_part, slow_part, slow_states
+from sampling_design.design.bounds.evidence import (
+    UpperBound,
+    alone_part,
+    gap_bounded,
+    local_part,
+    placed_part,
+    slow_part,
+    slow_states,
+    zone_part,
+)
 from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.bounds.zones import regions
 from sampling_design.design.problem.posing import pose
+from sampling_design.plants.plant import Signals
 from sampling_design.records.budget import ENDLESS
 from tests.cases import few
 from tests.oracles.design import best_on_grid, is_allowed, random_schedule, window_sigma_scan
@@ -170,3 +181,50 @@ def test_modes_that_grow_alike_are_not_told_apart():
         assert slow_part(pose(Plant(A, C), Requirement(window=9.0, period=4.0, spacing=0.4, samples=3), 3)) is None
     fast = pose(Plant(*FAR_APART), Requirement(window=4.0, period=4.0, spacing=0.4, samples=3), 3)
     assert np.allclose(np.abs(slow_states(fast)[:, 0]), np.array([1 / 2.98, 1.0]) / np.linalg.norm([1 / 2.98, 1.0]))
+
+
+CONSTANTS = np.zeros((2, 2)), np.array([[1.0, 1.0], [0.0, 1.0]])  # every sample shows x1 + x2, and x2
+"""|O x|^2 = 3 (x1 + x2)^2 + 3 x2^2 for three samples, wherever they lie: at least 3/2 x1^2 for every x2."""
+
+
+def with_a_decaying_mode(A, C):
+    return np.block([[A, np.zeros((2, 1))], [np.zeros((1, 2)), -1.0]]), np.hstack([C, [[1.0], [0.0]]])
+
+
+@pytest.mark.parametrize(
+    ("case", "scale"), [(CONSTANTS, 1.0), (with_a_decaying_mode(*CONSTANTS), 1.0), (CONSTANTS, 1e6)]
+)
+def test_sigma_of_rows_never_exceeds_its_bound_however_little_other_states_count(case, scale):
+    n = len(case[0])
+    states = Signals([f"x{k + 1}" for k in range(n)], scales=scale * np.arange(1.0, n + 1))
+    plant = Plant(*case, states=states)
+    design = design_schedule(plant, Requirement(window=4.0, samples=3, of="x1"), starts=1, branches=0)
+    exact = np.sqrt(1.5) * scale
+    assert design.sigma <= exact <= design.upper_bound <= 1.001 * exact
+    assert design.bound.value_for(design.problem) == pytest.approx(design.upper_bound)
+
+
+@pytest.mark.parametrize("method", ["placed", "alone", "gaps", "zones", "local"])
+def test_multipliers_of_every_kind_bound_what_counts_alone(method):
+    """The bound of all states, larger by what the state seen least holds of others: no multiplier says which counts."""
+    samples = 1 if method == "alone" else 3
+    requirement = Requirement(window=4.0, period=4.0, spacing=0.4, samples=samples)
+    problem = pose(Plant(*CONSTANTS), requirement, samples)
+    home = regions(problem, "late")[0]
+    found = {
+        "placed": lambda: placed_part(problem, relax_placed(problem)),
+        "alone": lambda: alone_part(problem),
+        "gaps": lambda: gap_bounded(problem, UpperBound(np.inf, ()), np.sqrt(samples)).parts[0],
+        "zones": lambda: zone_part(problem, home, "late")[0],
+        "local": lambda: local_part(problem, home, "late", np.sqrt(samples))[0],
+    }[method]()
+    assert found.method == method
+    least = np.sqrt((3 - np.sqrt(5)) / 2 * samples)  # of C'C
+    assert least * (1 - 1e-9) <= found.value
+    counted = pose(Plant(*CONSTANTS), requirement, samples, counted=np.array([[1.0, 0.0]]))
+    told = found.value_for(counted)
+    assert np.sqrt(samples / 2) * (1 - 1e-9) <= told
+    share = np.trace(found.weights[:, :1, :1].sum(axis=0)) / np.trace(found.weights.sum(axis=0))
+    assert told == pytest.approx(found.value / np.sqrt(share), rel=1e-6 if method != "gaps" else 1e-2)
+    nothing = pose(Plant(*CONSTANTS), requirement, samples, counted=np.array([[0.0, 0.0]]))
+    assert found.value_for(nothing) == np.inf

@@ -90,7 +90,10 @@ class BoundPart:
         return replace(self, value=self.value_for(problem))
 
     def value_for(self, problem: DesignProblem) -> float:
-        """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
+        """The bound that these multipliers prove for `problem`; infinite where they prove nothing.
+
+        A window that sees no x by less than sigma times |counted x| sees <W, O'O> >= sigma^2 tr(counted W counted').
+        """
         total = float(np.trace(self.weights, axis1=1, axis2=2).sum())
         least = float(np.linalg.eigvalsh(self.weights).min(initial=0.0))
         if self.chosen.size and problem.chosen is None:
@@ -105,14 +108,20 @@ class BoundPart:
         if not np.all(np.isfinite(roots)):
             return np.inf
         Z = roots @ np.swapaxes(roots, 1, 2)
+        sizes = np.sum(bare**2, axis=(1, 2))
+        counted = sizes if problem.counted is None else np.sum((problem.counted @ bare) ** 2, axis=(1, 2))
+        if self.method == "gaps":
+            return gap_bound(problem, self.starts, Z, self.tilt, counted / sizes.sum())
+        share = float(counted.sum() / sizes.sum())
+        return self._of_all_states(problem, roots, Z) / np.sqrt(share) if share > 0 else np.inf
+
+    def _of_all_states(self, problem: DesignProblem, roots: Array, Z: Array) -> float:
+        """The bound on the least |O x| over |x|, all entries of x, from multipliers that are no `gaps`."""
         if self.method == "placed":
             decided = problem.chosen is None or problem.fixed.size == problem.samples  # else of no known sample
             return placed_bound(problem, self.starts, Z, self.price) if decided else np.inf
         if self.method == "alone":
             return alone_bound(problem, self.starts, Z)
-        if self.method == "gaps":
-            traces = np.sum(bare**2, axis=(1, 2))
-            return gap_bound(problem, self.starts, Z, self.tilt, traces / traces.sum())
         if not zoned(problem) or self.zones.shape != (problem.samples, 2) or self.side not in sides(problem):
             return np.inf
         zones = tightened(problem, self.zones, self.side)

@@ -92,6 +92,7 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
         forbidden=spans(problem.forbidden),
         fixed=np.sort(turned(problem.fixed)),
         available=tuple(None if a is None else spans(a) for a in problem.available),
+        counted=None,
     )
     return CanonicalDesign(problem, inside, time, size, origin)
 

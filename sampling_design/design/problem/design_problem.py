@@ -41,6 +41,7 @@ class DesignProblem:
     chosen: Mask | None = None  # (k, p): what each sample measures, where that is decided
     late: float = 0.0  # how early or late each sample may be: by twice that, `window` is shorter than was asked
     closest: float = 0.0  # how early and late together: nearer to each other samples could change places
+    counted: Array | None = None  # (k, n): |counted x| is all that counts of x where rows were asked for, else |x|
 
     @cached_property
     def rows(self) -> ScaledRows:

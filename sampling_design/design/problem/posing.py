@@ -241,8 +241,10 @@ def in_own_unit(error: InfeasibleRequirementError, asked: Requirement, unit: str
     return InfeasibleRequirementError(f"{error} Times here are in {unit}, as the plant's.", error.obstacle, found)
 
 
-def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = True) -> DesignProblem:
-    """Return the numbers of the design with `samples` per period; `requirement` is resolved.
+def pose(
+    plant: Plant, requirement: Requirement, samples: int, check: bool = True, counted: Array | None = None
+) -> DesignProblem:
+    """Return the numbers of the design with `samples` per period; `requirement` is resolved, `counted` as there.
 
     With samples that come up to a early or b late, no schedule has a larger sigma over windows of T than exact ones
     have over windows of T - a - b, of the state a before these begin, read (b - a)/2 after they are planned: of the
@@ -269,6 +271,7 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
         available=tuple(None if a is None or a.available is None else numbers(a) for a in terms),
         costs=prices,
         cost_limit=np.inf if requirement.cost_limit is None else requirement.cost_limit,
+        counted=counted,
     )
     if check:
         try:

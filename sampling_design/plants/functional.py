@@ -169,6 +169,29 @@ def weighed_over(split: ModalSplit, window: float) -> ModalSplit:
     return split_modes(plant.beside(window, split), split.decay_rate)
 
 
+def rows_counted(plant: Plant) -> int:
+    """Return how many of the first states count in sigma: those that were asked for, or all."""
+    match plant:
+        case FunctionalPlant():
+            return plant.rows
+    return plant.n_states
+
+
+def wider_beside(plant: Plant, shares: Array | None) -> Plant | None:
+    """Return the plant with other states that count as little as a window asks; None where they do, or all count.
+
+    Of that window sigma of the rows times sqrt((O'O)^-1_ii) (n,) is given, O in scales.
+    """
+    count = plant.n_states - rows_counted(plant)
+    if not count or shares is None or not np.isfinite(shares).all():
+        return None
+    scales, more = np.array(plant.states.scales), shares[-count:] * (np.sqrt(count) / BESIDE)
+    if np.max(more) <= 1 + BESIDE:
+        return None
+    scales[-count:] *= np.maximum(more, 1.0)
+    return replace(plant, states=Signals(plant.states.names, plant.states.units, scales))
+
+
 def counted_rows(split: ModalSplit) -> Array | None:
     """Return what of the retained state counts in sigma, in its scales, (k, n_r); None where all of it does."""
     match split.plant:

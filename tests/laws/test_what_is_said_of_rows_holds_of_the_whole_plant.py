@@ -217,3 +217,35 @@ def test_a_part_is_asked_like_any_plant():
     assert part.augmented(bias=part.outputs.names).n_states == part.n_states + part.n_outputs
     corner = UncertainPlant(part, [UncertainParameter("k", 0.0, 0.1, A=np.eye(2), nominal=0.0)]).at([0.1])
     np.testing.assert_array_equal(corner.A, part.A + 0.1 * np.eye(2))
+
+
+def nearly_aliased(off):
+    """A constant, which one sensor shows, beside an oscillation that samples a unit apart nearly hide."""
+    turn = np.pi - off
+    return Plant([[0.0, 0, 0], [0, 0, turn], [0, -turn, 0]], [[1.0, 0, 0], [0, 1.0, 0]])
+
+
+@pytest.mark.parametrize(("off", "late"), [(1e-3, 0.0), (1e-6, 0.0), (1e-2, 0.01)])
+def test_sigma_of_rows_is_theirs_however_little_the_samples_show_of_other_states(off, late):
+    """Every window holds four samples of the constant, whenever these are taken."""
+    plant = nearly_aliased(off)
+    found = window_sigma(plant, EVERY_SECOND, 4.0 + 2 * late, of="x1", timing_tolerance=late)
+    assert found.status == ("timing" if late else "closed")
+    assert (0.0 if late else 1.998) <= found.lower <= 2.0 * (1 + 1e-12)
+    assert found.upper == pytest.approx(2.0, rel=1e-9)
+    assert window_sigma(plant, EVERY_SECOND, 4.0).upper < 3 * off
+
+
+@pytest.mark.parametrize("seed", few(range(40), 0, 6, 23))
+def test_sigma_of_rows_is_attained_by_its_witness(seed):
+    rng = np.random.default_rng([11, seed])
+    n = int(rng.integers(2, 5))
+    plant = Plant(rng.standard_normal((n, n)), rng.standard_normal((1, n)))
+    H = rng.standard_normal((int(rng.integers(1, n)), n))
+    gaps = rng.uniform(0.3, 1.0, 2)
+    found = window_sigma(plant, PeriodicSchedule(gaps), 1.2 * n * gaps.mean() + 1.0, of=H)
+    seen, begins = found.witness, found.witness.t - found.window
+    O = (plant.C @ plant.transition(np.maximum(seen.samples - begins, 0.0))).reshape(-1, n)
+    left = np.linalg.lstsq(O, np.eye(len(O)), rcond=None)[0]  # the least of all left inverses
+    assert found.upper == pytest.approx(1 / np.linalg.norm(H @ left, 2), rel=1e-6)
+    assert found.lower <= found.upper

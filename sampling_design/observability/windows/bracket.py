@@ -16,7 +16,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
-from sampling_design.observability.windows.timing import rows_of_any_time
+from sampling_design.observability.windows.timing import least_observed, rows_of_any_time
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
@@ -45,6 +45,7 @@ class WindowBracket:
     owner: Integers
     piece_lower: Array
     growth: float = 1.0
+    shares: Array | None = None  # as in `LeastObserved`, of the witness
 
 
 def require_moderate(plant: Plant) -> None:
@@ -247,22 +248,30 @@ class _BracketSearch:
 
 
 def bracket_sigma(
-    plant: Plant, pieces: WindowPieces, rtol: float, seconds: float, progress: Progress | None, reached: float = np.inf
+    plant: Plant,
+    pieces: WindowPieces,
+    rtol: float,
+    seconds: float,
+    progress: Progress | None,
+    reached: float = np.inf,
+    counted: int | None = None,
 ) -> WindowBracket:
     """Bracket the least sigma over all pieces; `seconds` may be infinite.
 
-    Where a sigma was `reached` elsewhere, what is certainly not below it is not looked at closely.
+    Where a sigma was `reached` elsewhere, what is certainly not below it is not looked at closely. Where only the first
+    `counted` states count, what is attained is of these, and what is proven of all, which is no more.
     """
     if plant.n_states == 0:
         return _nothing_to_see(pieces)
     require_moderate(plant)
     whole = Budget(seconds)
-    found = _searched(plant, pieces, rtol, seconds, progress, reached)
+    counted = plant.n_states if counted is None else counted
+    found = _searched(plant, pieces, rtol, seconds, progress, reached, counted)
     hidden = found.status in ("rounding", "below rounding")
     D = balanced_schur(plant.A, plant.C).d if hidden else np.ones(1)
     if np.ptp(D) == 0:
         return found
-    other = _searched(plant, pieces, rtol, max(seconds - whole.spent, 0.0), progress, reached, D)
+    other = _searched(plant, pieces, rtol, max(seconds - whole.spent, 0.0), progress, reached, counted, D)
     if other.lower <= found.lower:
         return found
     return replace(other, witness=found.witness) if found.witness.sigma <= other.witness.sigma else other
@@ -275,6 +284,7 @@ def _searched(
     seconds: float,
     progress: Progress | None,
     reached: float,
+    counted: int,
     D: Array | None = None,
 ) -> WindowBracket:
     """The bracket from one search, in states z where x = D z."""
@@ -293,18 +303,15 @@ def _searched(
     if status in ("too few samples", "below rounding"):
         search.close()
         np.minimum.at(search.piece_lower, search.owner, search.lower_open)
-    return _bracket(plant, search, status, g, start, reached)
+    return _bracket(plant, search, status, g, start, reached, counted)
 
 
-def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: float, reached: float) -> WindowBracket:
+def _bracket(
+    plant: Plant, search: _BracketSearch, status: str, g: int, start: float, reached: float, counted: int
+) -> WindowBracket:
     """The result, with the witness evaluated afresh from its own rows."""
     pieces = search.pieced.pieces
-    rows = _rows(plant, pieces, g, start)
-    if len(rows) > plant.n_states:
-        _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
-    else:
-        _, singular, right = np.linalg.svd(rows, full_matrices=True)
-    upper = 0.0 if rows.shape[0] < plant.n_states else float(singular[plant.n_states - 1])
+    direction, upper, shares = least_observed(_rows(plant, pieces, g, start), counted)
     lower = min(float(search.piece_lower.min()), upper)
     if status in ("too few samples", "below rounding"):
         lower = 0.0
@@ -315,9 +322,9 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
     with np.errstate(divide="ignore"):
         sigma = 1 / np.concatenate(search.values)
     return WindowBracket(
-        lower=lower, status=status, witness=pieces.witness(g, start, right[-1], upper), pieces=pieces,
+        lower=lower, status=status, witness=pieces.witness(g, start, direction, upper), pieces=pieces,
         nodes=nodes[order], sigma=sigma[order], owner=owner[order], piece_lower=search.piece_lower,
-        growth=search.pieced.growth,
+        growth=search.pieced.growth, shares=shares,
     )  # fmt: skip
 
 

@@ -22,6 +22,8 @@ is left out, and takes nothing from what others show.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
@@ -216,8 +218,37 @@ def middle_rows(plant: Plant, late: TimingTolerance) -> Plant:
     return Plant(plant.A, np.einsum("pi,pij->pj", plant.C, plant.transition(late.offsets)))
 
 
-def moved_window(plant: Plant, pieces: WindowPieces, g: int, start: float) -> WindowWitness:
-    """Return a window along real times of its samples at which it sees little: they and a state are sought in turn."""
+class LeastObserved(NamedTuple):
+    """The state that rows O show least of what counts, its sigma, and how much less each state is shown (n,).
+
+    `shares` are sigma sqrt((O'O)^-1_ii), at most one of what counts; infinite where O has no full rank.
+    """
+
+    direction: Array
+    sigma: float
+    shares: Array
+
+
+def least_observed(rows: Array, counted: int) -> LeastObserved:
+    """Return the least |O x| over |x_1, ..., x_counted|, of rows O (k, n)."""
+    n = rows.shape[1]
+    R = rows if len(rows) <= n else np.linalg.qr(rows, mode="r")
+    _, singular, right = np.linalg.svd(R, full_matrices=True)
+    if len(rows) < n or not singular[-1] > 0:
+        return LeastObserved(right[-1], 0.0, np.full(n, np.inf))
+    F = right.T * (singular[-1] / singular)  # O^+ but for a turn and its size
+    if counted == n:
+        return LeastObserved(right[-1], float(singular[-1]), np.linalg.norm(F, axis=1))
+    _, size, turned = np.linalg.svd(F[:counted], full_matrices=False)
+    x = F @ turned[0]
+    return LeastObserved(x / np.linalg.norm(x), float(singular[-1] / size[0]), np.linalg.norm(F, axis=1) / size[0])
+
+
+def moved_window(plant: Plant, pieces: WindowPieces, g: int, start: float, counted: int) -> WindowWitness:
+    """Return a window along real times of its samples at which it sees little of the first `counted` states.
+
+    They and a state are sought in turn.
+    """
     centres, mask, late, n = pieces.samples(g), pieces.measured(g), pieces.timing_tolerance, plant.n_states
     if late.apart:  # outputs that come nearly on time may be in it where others may be out
         centres, mask = pieces.times, _surely_inside(pieces, g, start)
@@ -229,13 +260,12 @@ def moved_window(plant: Plant, pieces: WindowPieces, g: int, start: float) -> Wi
     shown = np.array([_rows(plant, place - start, mask) for place in places])
     rows = _rows(plant, times - start, mask)
     for _ in range(_TURNS):
-        full = np.vstack([rows.reshape(-1, n), np.zeros((max(0, n - rows.size // n), n))])
-        _, singular, right = np.linalg.svd(full)
-        if kept is not None and not singular[-1] < kept.sigma * (1 - _GAIN):
+        x, sigma, _ = least_observed(rows.reshape(-1, n), counted)
+        if kept is not None and not sigma < kept.sigma * (1 - _GAIN):
             break
         sampled = times if mask is None or not late.apart else times[mask]
-        kept = WindowWitness(start + pieces.window, "at", np.unique(sampled), right[-1], float(singular[-1]))
-        outputs = shown @ right[-1]
+        kept = WindowWitness(start + pieces.window, "at", np.unique(sampled), x, sigma)
+        outputs = shown @ x
         outputs /= max(float(np.abs(outputs).max(initial=0.0)), np.finfo(float).tiny)
         size = np.abs(outputs) if late.apart else np.linalg.norm(outputs, axis=2, keepdims=True)
         best = np.argmin(size, axis=0)[None]

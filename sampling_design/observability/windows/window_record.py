@@ -17,10 +17,11 @@ from sampling_design.observability.sigma_bracket import (
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window, starts_tried
+from sampling_design.plants.functional import rows_counted, wider_beside
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
-from sampling_design.records.budget import Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.declarations import Column, above, below
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, moment, short
@@ -31,6 +32,7 @@ RTOL = 0.001  # default width of the bracket, relative
 HIDING = 1e3
 """Growth within a window from which on a sigma that doubles lose is asked of balls: n eps |O| is then far above the
 n eps |C| below which sigma counts as zero."""
+MOST_WIDER = 8  # searches of rows, each with the others counting less where it was kept open by what they hold
 HANDED_OVER = 20.0  # seconds that balls have for what was only asked of floats
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
@@ -223,13 +225,20 @@ def sigma_of_pieces(
     `reached` was found over other pieces: windows that see more than that are not looked at closely. Balls have
     `handed_over` seconds for what growth hides from floats.
     """
-    own = plant.scaled() if plant.has_scales else plant
-    middle = middle_rows(own, pieces.timing_tolerance)
-    found = bracket_sigma(middle, pieces, rtol, seconds, progress, reached)
+    whole, counted = Budget(seconds), rows_counted(plant)
+    for _ in range(MOST_WIDER):
+        own = plant.scaled() if plant.has_scales else plant
+        middle = middle_rows(own, pieces.timing_tolerance)
+        found = bracket_sigma(middle, pieces, rtol, whole.left, progress, reached, counted)
+        wider = wider_beside(plant, found.shares)
+        if found.status != "rounding" or wider is None:
+            break
+        plant = wider
+    seconds = whole.left
     result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
     if pieces.timing_tolerance:
         late = pieces.timing_tolerance
-        return _with_tolerance(result, own, found) if own.n_states else replace(result, late=late)
+        return _with_tolerance(result, own, found, counted) if own.n_states else replace(result, late=late)
     if rigorous:
         return _in_balls(result, own, schedule, pieces, seconds)
     if handed_over and _hidden(found) and find_spec("flint") is not None:
@@ -237,7 +246,7 @@ def sigma_of_pieces(
     return result
 
 
-def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> WindowSigma:
+def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket, counted: int) -> WindowSigma:
     """The record of windows for all real times within a tolerance, with times that see as little as was found."""
     pieces, least = found.pieces, np.full(len(found.pieces), np.inf)
     np.minimum.at(least, found.owner, found.sigma)
@@ -245,7 +254,7 @@ def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> 
     for g in np.argsort(least, kind="stable")[:MOST_TRIED].tolist():
         at, own = found.nodes[found.owner == g], found.sigma[found.owner == g]
         start = float(at[np.argmin(own)])
-        tried += [moved_window(plant, pieces, g, each) for each in starts_tried(pieces, g, start)]
+        tried += [moved_window(plant, pieces, g, each, counted) for each in starts_tried(pieces, g, start)]
     worst = min(tried, key=lambda one: one.sigma)
     status, lower = found.status, min(found.lower, worst.sigma)
     if status in ("closed", "rounding", "below rounding") and worst.sigma > 0:  # of rows that stand for all times

@@ -45,7 +45,7 @@ class WindowBracket:
     owner: Integers
     piece_lower: Array
     growth: float = 1.0
-    shares: Array | None = None  # as in `LeastObserved`, of the witness
+    shares: Array | None = None  # as of `least_observed`, at the witness
 
 
 def require_moderate(plant: Plant) -> None:

@@ -22,8 +22,6 @@ is left out, and takes nothing from what others show.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
@@ -218,30 +216,22 @@ def middle_rows(plant: Plant, late: TimingTolerance) -> Plant:
     return Plant(plant.A, np.einsum("pi,pij->pj", plant.C, plant.transition(late.offsets)))
 
 
-class LeastObserved(NamedTuple):
-    """The state that rows O show least of what counts, its sigma, and how much less each state is shown (n,).
+def least_observed(rows: Array, counted: int) -> tuple[Array, float, Array]:
+    """Return the state that rows O (k, n) show least of its first `counted` entries, sigma of these, and shares (n,).
 
-    `shares` are sigma sqrt((O'O)^-1_ii), at most one of what counts; infinite where O has no full rank.
+    sigma = min |O x| / |x_1, ..., x_counted|; the shares are sigma sqrt((O'O)^-1_ii), infinite without full rank.
     """
-
-    direction: Array
-    sigma: float
-    shares: Array
-
-
-def least_observed(rows: Array, counted: int) -> LeastObserved:
-    """Return the least |O x| over |x_1, ..., x_counted|, of rows O (k, n)."""
     n = rows.shape[1]
     R = rows if len(rows) <= n else np.linalg.qr(rows, mode="r")
     _, singular, right = np.linalg.svd(R, full_matrices=True)
     if len(rows) < n or not singular[-1] > 0:
-        return LeastObserved(right[-1], 0.0, np.full(n, np.inf))
+        return (right[-1], 0.0, np.full(n, np.inf))
     F = right.T * (singular[-1] / singular)  # O^+ but for a turn and its size
     if counted == n:
-        return LeastObserved(right[-1], float(singular[-1]), np.linalg.norm(F, axis=1))
+        return (right[-1], float(singular[-1]), np.linalg.norm(F, axis=1))
     _, size, turned = np.linalg.svd(F[:counted], full_matrices=False)
     x = F @ turned[0]
-    return LeastObserved(x / np.linalg.norm(x), float(singular[-1] / size[0]), np.linalg.norm(F, axis=1) / size[0])
+    return (x / np.linalg.norm(x), float(singular[-1] / size[0]), np.linalg.norm(F, axis=1) / size[0])
 
 
 def moved_window(plant: Plant, pieces: WindowPieces, g: int, start: float, counted: int) -> WindowWitness:

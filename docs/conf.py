@@ -79,7 +79,8 @@ bibtex_reference_style = "author_year"
 
 html_theme = "furo"
 html_title = "sampling_design"
-html_static_path = ["_static"]
+html_static_path = ["_static", "on_paper"]
+html_extra_path = ["run_lectures.py"]
 html_css_files = ["house.css"]
 html_copy_source = False
 html_show_sourcelink = False
@@ -181,10 +182,17 @@ def searches_show_words(app, pagename, templatename, context, doctree):
         app.add_js_file("search_words.js", priority=900, loading_method="defer")
 
 
+def lectures_run(app, pagename, templatename, context, doctree):
+    """Give lectures, and the list of them, what makes their cells run where a Jupyter server shows them."""
+    if pagename.startswith("made/notebooks/"):
+        app.add_js_file("live.js", loading_method="defer")
+
+
 def setup(app):
     """Write the pages that are made from the package itself, then read all pages."""
     make_pages.write_all(HERE)
     app.connect("html-page-context", searches_show_words)
+    app.connect("html-page-context", lectures_run)
     app.connect("build-finished", every_picture_is_there)
     app.connect("build-finished", every_certificate_is_proven)
     app.connect("autodoc-process-docstring", escape_mathematics, priority=100)

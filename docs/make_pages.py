@@ -336,10 +336,12 @@ def copy_notebooks(source: Path, target: Path) -> None:
         solved = name.replace(".ipynb", "_solved.ipynb")
         write(target / "solved" / solved, (source.parent / "teachers" / name).read_text())
         offered = (
-            f"**To change and run it**, without a network: {{download}}"
-            f"`this notebook <../../../examples/notebooks/{name}>` "
-            f"opens in a browser by `jupyter lab {name}` ([once before](../../lectures.md): "
-            f"`pip install '.[nonlinear,notebooks]'`). {{download}}`Its exercises, solved <solved/{solved}>`."
+            ":::{container} until-live\n"
+            "**To change and run the cells of this page**, without a network: `jupyter server --config run_lectures.py` "
+            "in the folder of these pages opens them in a browser, with a button at each cell "
+            "([once before](../../lectures.md): `pip install '.[docs]'`).\n:::\n\n"
+            f"To keep: {{download}}`the notebook <../../../examples/notebooks/{name}>`, "
+            f"{{download}}`its exercises, solved <solved/{solved}>`."
         )
         notebook["cells"].insert(1, {"cell_type": "markdown", "id": "offered", "metadata": {}, "source": offered})
         write(target / name, json.dumps(notebook, indent=1, ensure_ascii=False))

@@ -1,7 +1,8 @@
-"""Found by the kernels of the documentation instead of the real one: sliders that work on a page, where no kernel is.
+"""Found by the kernels of the pages instead of the real one: sliders that work on a page.
 
-`interact` runs its function at a few values when the page is built, and keeps what it prints and draws. On the page a
-slider chooses between these, in any browser and from the disk.
+Where no kernel is, `interact` has run its function at a few values when the page was built, and kept what it prints and
+draws: a slider chooses between these, in any browser and from the disk. Behind a page that runs (`_static/live.js`),
+`interact_live` takes its place, and the slider takes any value.
 """
 
 import base64
@@ -52,6 +53,27 @@ def interact(show, **slider):
 
 
 interact.options = lambda **_: interact  # a lecture draws when its slider is moved; a page has drawn before
+
+LIVE = []
+
+
+def interact_live(show, **slider):
+    """Display a slider whose values, and those typed beside it, the page sends to `draw`."""
+    ((name, asked),) = slider.items()
+    ends = f'min="{asked.min:g}" max="{asked.max:g}" value="{asked.value:g}" aria-label="{name}"'
+    control = f'<input type="range" step="{asked.step:g}" {ends}><label>{name} = <input type="number" step="any" {ends}>'
+    display(HTML(f'<div class="steps" data-slider="{len(LIVE)}">{control}</label></div>'))
+    LIVE.append((show, name))
+    show.widget = SimpleNamespace(update=None)
+
+
+interact_live.options = lambda **_: interact_live
+
+
+def draw(number, value):
+    """What the function of a slider returns at a value; what it prints and draws is displayed by itself."""
+    show, name = LIVE[number]
+    return show(**{name: value})
 
 
 def shown(show, name, value):

@@ -337,9 +337,9 @@ def copy_notebooks(source: Path, target: Path) -> None:
         write(target / "solved" / solved, (source.parent / "teachers" / name).read_text())
         offered = (
             ":::{container} until-live\n"
-            "**To change and run the cells of this page**, without a network: `jupyter server --config run_lectures.py` "
-            "in the folder of these pages opens them in a browser, with a button at each cell "
-            "([once before](../../lectures.md): `pip install '.[docs]'`).\n:::\n\n"
+            "**To change and run the cells of this page**, without a network: "
+            "`jupyter server --config run_lectures.py` in the folder of these pages opens them in a browser, with a "
+            "button at each cell ([once before](../../lectures.md): `pip install '.[nonlinear,notebooks]'`).\n:::\n\n"
             f"To keep: {{download}}`the notebook <../../../examples/notebooks/{name}>`, "
             f"{{download}}`its exercises, solved <solved/{solved}>`."
         )

@@ -128,7 +128,7 @@
   }
 
   function failed({ ename, evalue, traceback }) {
-    const text = plain(traceback.join("\n"));
+    const text = plain(traceback.join("\n")).replace(/^-+\n/, "");
     const line = (text.match(/Cell In\[\d+\], line (\d+)/) || [])[1];
     const asks = ename === "StdinNotImplementedError";
     const why = asks ? "a page cannot be asked for input: write the value into the cell." : plain(evalue);

@@ -61,8 +61,9 @@ def interact_live(show, **slider):
     """Display a slider whose values, and those typed beside it, the page sends to `draw`."""
     ((name, asked),) = slider.items()
     ends = f'min="{asked.min:g}" max="{asked.max:g}" value="{asked.value:g}" aria-label="{name}"'
-    control = f'<input type="range" step="{asked.step:g}" {ends}><label>{name} = <input type="number" step="any" {ends}>'
-    display(HTML(f'<div class="steps" data-slider="{len(LIVE)}">{control}</label></div>'))
+    drawn = f'<input type="range" step="{asked.step:g}" {ends}>'
+    typed = f'<label>{name} = <input type="number" step="any" {ends}></label>'
+    display(HTML(f'<div class="steps" data-slider="{len(LIVE)}">{drawn}{typed}</div>'))
     LIVE.append((show, name))
     show.widget = SimpleNamespace(update=None)
 

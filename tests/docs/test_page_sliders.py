@@ -57,3 +57,16 @@ def test_a_picture_that_is_returned_is_shown(sliders, monkeypatch):
 
     page = page_of(sliders, monkeypatch, lambda gap: Drawn(), value=0.0, min=0.0, max=6.0, step=1.0)
     assert page.count("data:image/png;base64,cG5n") == sliders.STEPS
+
+
+def test_behind_a_kernel_a_slider_asks_the_function_of_the_notebook_at_any_value(sliders, monkeypatch):
+    shown = []
+    monkeypatch.setattr(sliders, "display", lambda node: shown.append(node.data))
+    for factor in (2.0, 3.0):
+        slider = sliders.FloatSlider(value=0.3, min=0.0, max=1.0, step=0.05, continuous_update=False)
+        sliders.interact_live.options(manual=True)(lambda gap, factor=factor: factor * gap, gap=slider)
+    assert [sliders.draw(number, 0.1234) for number in (0, 1)] == [2.0 * 0.1234, 3.0 * 0.1234]
+    drawn, typed = re.findall(r"<input [^>]*>", shown[1])
+    assert 'type="range" step="0.05" min="0" max="1" value="0.3"' in drawn
+    assert 'type="number" step="any" min="0" max="1" value="0.3"' in typed
+    assert 'data-slider="1"' in shown[1]

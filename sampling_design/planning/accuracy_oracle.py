@@ -15,7 +15,7 @@ from sampling_design.planning.adversary_program import DisturbedTrajectory, Grid
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
-from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
+from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal, on_finer
 from sampling_design.planning.search_progress import EXCESS
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
@@ -31,6 +31,8 @@ WINDOWS = 256  # windows of sequences that are kept with what was solved in them
 SHALLOW = (16, 4)  # shares of the past that refute a choice first, where all of it makes a large program
 FARTHEST = 200  # periods beyond which the past is not followed
 MOST_FAILURES = 4  # measurements in a row that no trajectory can do without, after which it is left at that
+PARTS = 4  # steps in one of the grid, in which a choice is looked at that may keep a level by chance of the grid
+MISSED = 0.02  # share of a level below which the grid is not thought to miss it
 SCALED = 1 + 1e-9  # a trajectory is divided by the largest ratio of its w to the bound times this
 
 
@@ -101,6 +103,8 @@ class AccuracyOracle:
         if key not in self._kept:
             hidden = self.hidden(chosen) is not None
             self._kept[key] = (np.inf, []) if hidden else self._judged(chosen, above, longest)
+            if 1 <= above < np.inf and above * (1 - MISSED) < self._kept[key][0] <= above:
+                self._kept[key] = self._closely(chosen, above, *self._kept[key])
             while len(self._kept) > REMEMBERED:
                 del self._kept[next(iter(self._kept))]
         return self._kept[key]
@@ -132,6 +136,22 @@ class AccuracyOracle:
                 if worst > above:
                     return worst, found
         return worst, found
+
+    def _closely(
+        self, chosen: Mask, above: float, worst: float, found: list[HiddenTrajectory]
+    ) -> tuple[float, list[HiddenTrajectory]]:
+        """What is judged to keep a level, but not by much, looked at between the steps of the grid, too."""
+        finer = self.finer
+        finer.back, finer.work = self.back * PARTS, self.work
+        more, between = finer._judged(on_finer(chosen, PARTS), above, False)
+        return max(worst, more), [*found, *(trajectory.on_grid(PARTS) for trajectory in between)]
+
+    @cached_property
+    def finer(self) -> AccuracyOracle:
+        """The same for trajectories that turn, and end, between steps of the grid; of no standard deviations."""
+        finer = AccuracyOracle(self.problem.finer(PARTS), self.discrete.finer(PARTS))
+        finer.grid_filter = None
+        return finer
 
     def spans(self, chosen: Mask) -> list[GridSpan]:
         """The gaps of a choice; where results are out for a while, from one result to the next."""
@@ -216,6 +236,9 @@ class AccuracyOracle:
             assert self.grid_filter is not None
             found = self.grid_filter.tangent_at(chosen.astype(float), trajectory.goal, trajectory.end)
             return found.at_touch if found is not None and found.at_touch.reach > level else None
+        if trajectory.parts > 1:
+            own = self.finer.ending_with(on_finer(chosen, PARTS), trajectory.in_parts(), level)
+            return None if own is None else own.on_grid(PARTS)
         if self.problem.unread_steps is None:
             at = np.flatnonzero(chosen.any(axis=1))
             since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)

@@ -16,7 +16,7 @@ from sampling_design.planning.covering import CoveringRows, Key, relaxed
 from sampling_design.planning.evidence import CostProof, CostTree, open_choices
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
-from sampling_design.planning.hitting_set import smallest_hitting_set
+from sampling_design.planning.hitting_set import DEEPEST, smallest_hitting_set
 from sampling_design.planning.problem import SAME_PRICE
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -203,7 +203,7 @@ class _ProofTree:
         self.keys, self.work, self.find, self.decide = keys, work, find, decide
         dense = all(each.response is None and not np.any(each.touches == 1) for each in self.pool.trajectories)
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
-        self.cuts = CUTS[1] if find is not None else 0
+        self.cuts = CUTS[1] * most // MOST_NODES if find is not None else 0
         self.program = self.covering.model(self.pool.trajectories, keys, level)
         self.of_samples = self._of_samples(len(keys))
 
@@ -219,8 +219,8 @@ class _ProofTree:
         """Which rows of so many keys are those of samples: in the proof these are behind all others."""
         return [False] * keys + ([] if self.covering.whole else [True] * keys)
 
-    def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
-        """The tree below a node and what it proves; nodes are shared out evenly."""
+    def node(self, low: Array, high: Array, depth: int = 0) -> tuple[CostTree, float]:
+        """The tree below a node and what it proves; nodes are shared out evenly, unless one open leaf ends it all."""
         self.left -= 1
         x, y, value = relaxed(self.program, low, high, self.work)
         for _ in range(min(CUTS[0], self.cuts)):
@@ -234,19 +234,20 @@ class _ProofTree:
         leaf = CostTree(tuple(rows.tolist()), tuple(y[rows].tolist()))
         torn = np.minimum(x, 1 - x)
         whole = torn.max(initial=0.0) <= INTEGRAL
-        if self.covering.lifted(value) >= self.target or self.left <= 0 or whole or self.work.over:
+        spent = self.left <= 0 or depth >= DEEPEST or self.work.over
+        if self.covering.lifted(value) >= self.target or whole or spent:
             self.lost = self.lost or (self.decide and self.covering.lifted(value) < self.target)
             return leaf, value
         k = int(np.argmax(torn))
         up, down = low.copy(), high.copy()
         up[k], down[k] = 1.0, 0.0
-        budget = self.left
-        self.left = budget // 2
-        given, second = self.node(up, high)
-        self.left += budget - budget // 2
+        spared = 0 if self.decide else self.left - self.left // 2
+        self.left -= spared
+        given, second = self.node(up, high, depth + 1)
+        self.left += spared
         if self.lost:
             return leaf, value
-        without, first = self.node(low, down)
+        without, first = self.node(low, down, depth + 1)
         if self.lost or min(first, second) <= value:
             return leaf, value
         return CostTree(variable=k, branches=(without, given)), min(first, second)

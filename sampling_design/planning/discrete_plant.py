@@ -49,6 +49,7 @@ class DiscretePlant:
     S: Array
     step: float
     ball: bool  # whether |w| is Euclidean
+    parts: int = 1  # of each step of the grid: so many times as many cells of w
     _flows: dict[int, Array] = field(default_factory=dict, init=False)
     _gaps: dict[int, tuple[Array, Array, list[int]]] = field(default_factory=dict, init=False)
     _grids: dict[object, tuple[Array, Array, float]] = field(default_factory=dict, init=False)
@@ -63,6 +64,10 @@ class DiscretePlant:
         """Steps without a sample that are followed: e^GROWTH at most."""
         rate = float(np.max(np.linalg.eigvals(self.A).real, initial=0.0)) * self.step
         return max(1, int(min(GROWTH / rate, MOST_STEPS))) if rate > 0 else MOST_STEPS
+
+    def finer(self, parts: int) -> DiscretePlant:
+        """The same in steps of which so many are one."""
+        return replace(self, step=self.step / parts, parts=self.parts * parts)
 
     @cached_property
     def _turned(self) -> float:
@@ -120,7 +125,7 @@ class DiscretePlant:
         return self._grids[key]
 
     def _cut(self, steps: int) -> tuple[Array, Array, list[int]]:
-        number = min(max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
+        number = min(self.parts * max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
         edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
         n, cells = self.n, np.diff(edges).tolist()
         F, blocks = np.eye(n), []
@@ -256,7 +261,7 @@ def finer_grid(problem: PlanProblem, discrete: DiscretePlant, rows: Array) -> fl
     for parts in FINER:
         if problem.steps * parts > MOST_STEPS:
             break
-        finer = replace(discrete, step=discrete.step / parts)
+        finer = discrete.finer(parts)
         allowed = np.repeat(problem.allowed, parts, axis=0)
         if hidden_at(finer, allowed, rows, always) is None:
             return problem.step / parts

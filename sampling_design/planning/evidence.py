@@ -221,9 +221,12 @@ def resimulated(problem: PlanProblem, discrete: DiscretePlant, trajectory: Hidde
 
     Of a tangent: the filter run anew.
     """
-    response = trajectory.response
+    response, parts = trajectory.response, trajectory.parts
     if response is None:
         return _filtered(problem, discrete, trajectory)
+    if parts > 1:
+        found = resimulated(problem.finer(parts), discrete.finer(parts), trajectory.in_parts())
+        return None if found is None else found.on_grid(parts)
     if response.states[0].any() or response.knots[0] != 0:
         return None
     w = response.w.copy()
@@ -306,6 +309,7 @@ def trajectory_to_dict(trajectory: HiddenTrajectory) -> dict[str, object]:
     if response is None:
         touched = np.argwhere(trajectory.touches).tolist()
         return data | {"point": [[*at, float(trajectory.touches[tuple(at)])] for at in touched]}
+    data |= {"parts": trajectory.parts} if trajectory.parts > 1 else {}
     return data | {key: getattr(response, key).tolist() for key in ("knots", "states", "w")}
 
 
@@ -317,13 +321,13 @@ def trajectory_of(problem: PlanProblem, discrete: DiscretePlant, data: dict[str,
             point[int(back), int(sensor)] = share
         reach, at_sample = float(str(data["reach"])), bool(data["at_sample"])
         return HiddenTrajectory(int(str(data["goal"])), reach, end, at_sample, np.zeros_like(point), None, point)
-    knots = np.array(data["knots"], dtype=np.intp)
-    response = forced_response(discrete, knots, np.array(data["states"]), np.array(data["w"]))
+    knots, parts = np.array(data["knots"], dtype=np.intp), int(str(data.get("parts", 1)))
+    grid = problem.finer(parts)
+    response = forced_response(discrete.finer(parts), knots, np.array(data["states"]), np.array(data["w"]))
     at_sample = bool(data["at_sample"])
-    peaks = peaks_of(response.path @ discrete.H.T, problem.steps, at_sample, problem.unread_steps)
-    return HiddenTrajectory(
-        int(str(data["goal"])), float(str(data["reach"])), int(str(data["end"])), at_sample, peaks, response
-    )
+    peaks = peaks_of(response.path @ discrete.H.T, grid.steps, at_sample, grid.unread_steps)
+    goal, reach, end = int(str(data["goal"])), float(str(data["reach"])), int(str(data["end"]))
+    return HiddenTrajectory(goal, reach, end, at_sample, peaks, response, parts=parts).in_parts().on_grid(parts)
 
 
 def proof_to_dict(proof: CostProof) -> dict[str, object]:

@@ -43,11 +43,18 @@ from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import schedule_from_dict
 
 SAME = 1e-3  # figures in a file may differ from those worked out anew by this share: solvers of other machines
+MOST_PARTS = 64  # steps of a trajectory in one of the grid, at most
 MOST_TREE = 10_000  # nodes of a tree of proofs that a file may hold: more takes minutes to check
 
 _TRAJECTORY = table(
     {"goal": count, "end": count, "at_sample": flag, "reach": positive},
-    {"knots": list_of(count), "states": matrix(), "w": matrix(), "point": list_of(list_of(nonnegative, 3))},
+    {
+        "knots": list_of(count),
+        "states": matrix(),
+        "w": matrix(),
+        "parts": count,
+        "point": list_of(list_of(nonnegative, 3)),
+    },
 )
 _RESPONSE = ("knots", "states", "w")
 _NODE = table({}, {"variable": count, "multipliers": list_of(list_of(number, 2))})
@@ -191,6 +198,8 @@ def _bound(problem: PlanProblem, discrete: DiscretePlant, tree: Tree) -> PlanBou
         knots, steps, q = trajectory["knots"], len(trajectory["w"]), discrete.G.shape[1]
         rising = all(a < b for a, b in pairwise(knots)) and knots[:1] == [0]
         shaped = trajectory["w"].shape == (steps, q) and trajectory["states"].shape == (len(knots), discrete.n)
+        if not 1 <= trajectory.get("parts", 1) <= MOST_PARTS:
+            raise refuse(f"trajectories[{k}].parts", f"must be 1 to {MOST_PARTS}")
         if not rising or not shaped or knots[-1] > steps:
             raise refuse(f"trajectories[{k}]", "has knots, states and w that do not fit together")
     found = tuple(trajectory_of(problem, discrete, trajectory) for trajectory in trajectories)

@@ -36,6 +36,23 @@ class HiddenTrajectory:
     peaks: Array
     response: DisturbedTrajectory | None = None  # None for a tangent
     point: Array | None = None  # (M, p): where a tangent touches, in steps back from the end
+    parts: int = 1
+    """Steps of the response in one of the grid: it begins at a step of the grid and ends within the step `end`."""
+
+    @property
+    def early(self) -> int:
+        """Of these, how many before the step `end` it ends."""
+        return 0 if self.response is None else -len(self.response.w) % self.parts
+
+    def in_parts(self) -> HiddenTrajectory:
+        """Its end on the grid of its response, where it is simulated."""
+        return replace(self, end=self.end * self.parts - self.early, parts=1)
+
+    def on_grid(self, parts: int) -> HiddenTrajectory:
+        """One on a grid of which so many steps are one on that: only there may be measured."""
+        own = replace(self, parts=parts)
+        back = np.arange(0, len(self.peaks), parts) - own.early  # -k: what shows less than a period before the end
+        return replace(own, end=-(-self.end // parts), peaks=self.peaks[back])
 
     @property
     def touches(self) -> Array:

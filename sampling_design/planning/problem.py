@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -132,6 +132,17 @@ class PlanProblem:
         """Places of the goals that are guaranteed, and no standard deviations."""
         return [g for g, goal in enumerate(self.goals) if not goal.stochastic]
 
+    def finer(self, parts: int) -> PlanProblem:
+        """The same, of which so many steps are one: nothing more may be measured."""
+        return replace(
+            self,
+            goals=tuple(replace(goal, steps=goal.steps * parts) for goal in self.goals),
+            step=self.step / parts,
+            allowed=on_finer(self.allowed, parts),
+            spacing=self.spacing * parts,
+            sensor_spacing=self.sensor_spacing * parts,
+        )
+
     def ends(self, g: int) -> Mask:
         """Steps at which a hidden trajectory against a goal may end."""
         goal = self.goals[g]
@@ -179,6 +190,13 @@ class PlanProblem:
         chosen = np.zeros(self.allowed.shape, dtype=bool)
         chosen[at] = True if schedule.outputs is None else schedule.outputs
         return chosen
+
+
+def on_finer(chosen: Mask, parts: int) -> Mask:
+    """A choice (M, p) on a grid of which so many steps are one (M parts, p)."""
+    lifted = np.zeros((len(chosen) * parts, chosen.shape[1]), dtype=bool)
+    lifted[::parts] = chosen
+    return lifted
 
 
 def _apart(taken: Mask, least: int, steps: int) -> bool:

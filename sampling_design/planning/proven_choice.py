@@ -92,14 +92,14 @@ def lifted_trajectories(
             z[::part] = np.roll(trajectory.touches, -(trajectory.end + 1) % len(trajectory.peaks), axis=0)[::-1]
             lifted = oracle.tangent(z, trajectory.goal)
         else:
-            response = trajectory.response
-            states = np.asarray(
-                np.linalg.lstsq(oracle.discrete.T, discrete.T @ response.states.T)[0].T, dtype=np.float64
-            )
+            response, parts = trajectory.response, trajectory.parts
+            own = oracle if parts == 1 else oracle.finer
+            states = np.asarray(np.linalg.lstsq(own.discrete.T, discrete.T @ response.states.T)[0].T, dtype=np.float64)
             propagated = forced_response(
-                oracle.discrete, response.knots * part, states, np.repeat(response.w, part, axis=0)
+                own.discrete, response.knots * part, states, np.repeat(response.w, part, axis=0)
             )
-            lifted = oracle.scaled(propagated, trajectory.goal, trajectory.end * part, trajectory.at_sample)
+            lifted = own.scaled(propagated, trajectory.goal, trajectory.in_parts().end * part, trajectory.at_sample)
+            lifted = lifted.on_grid(parts) if lifted is not None else None
         found += [lifted] if lifted is not None else []
     return found
 

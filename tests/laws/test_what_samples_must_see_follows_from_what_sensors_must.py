@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.planning import bounds
 from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringProgram, CoveringRows, cheapest, relaxed
@@ -87,6 +88,22 @@ def test_the_least_cost_of_all_choices_is_what_is_proven(seed):
     proof = CostProver(covering, pool, Budget(counted=True), lambda x, level: None).least_cost(LEVEL, dearest)
     assert proof.value == pytest.approx(least, rel=1e-9)
     assert proven_cost(covering, pool, proof) >= proof.value * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("seed", few([8, 42, 17, 23], 0, 1))
+def test_a_proof_is_found_with_as_many_nodes_as_it_has(seed, monkeypatch):
+    """One leaf that is left open ends it all, so that no branch keeps nodes that another one lacks."""
+    rng = np.random.default_rng(seed)
+    problem = posed()
+    pool, covering = pooled(problem, rng, 3), CoveringRows(problem)
+    prover = CostProver(covering, pool, Budget(counted=True), lambda x, level: None)
+    least = min(problem.cost(chosen) for chosen in choices(problem) if seen(problem, pool, chosen))
+    proof = prover.least_cost(LEVEL, least, decide=True)
+    assert proof.value == least
+    nodes = len(proof.tree.to_list())
+    for many, enough in ((nodes, True), (1, False)):
+        monkeypatch.setattr(bounds, "MOST_NODES", many)
+        assert (prover.least_cost(LEVEL, least, decide=True).value == least) == enough
 
 
 def test_without_them_a_visit_is_taken_by_halves():

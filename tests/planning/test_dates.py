@@ -137,6 +137,7 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
         ({**data, "cost": data["cost"] + 1}, "where the schedule gives"),
         ({**data, "schedule": {**data["schedule"], "times": [0.0] * len(data["schedule"]["times"])}}, "cannot be used"),
         ({**data, "trajectories": [{**a, "knots": [1]} for a in data["trajectories"]]}, "that do not fit together"),
+        ({**data, "trajectories": [{**a, "parts": 0} for a in data["trajectories"]]}, "parts` must be 1 to 64"),
         ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "tree": []}}, "has a tree that is cut off"),
         ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "rows": [[99, 0]]}}, "none of the `trajectories`"),
         ({**data, "no_cheaper_than": more}, "has nodes beside its tree"),

@@ -90,7 +90,9 @@ class ErrorMap:
         self.energies = weights.sample_energy(bounds.v, False, line.masks)
         self.w_energy, self.prior_energy = weights.disturbance_energy(bounds.w), weights.prior_energy(bounds.e0)
         self.windows: dict[int, SolveWindow] = {}  # by the event at which they end
-        self.half = inverse_of_root(self._roots())  # (R, n, n), and |half e|^2 = |e|^2_Pi at each row
+        roots = self._roots()
+        self.half = inverse_of_root(roots)  # (R, n, n), and |half e|^2 = |e|^2_Pi at each row
+        self.spread = np.linalg.norm(np.abs(self.half) @ np.abs(roots), axis=(1, 2))  # digits that these lost
 
     def _roots(self) -> Array:
         """Solve every window; return roots of the covariances at the rows."""
@@ -160,16 +162,16 @@ class ErrorMap:
                 online[self.place[b]] = e, radius
             errors[row], radii[row], led[row] = e, radius, before
             row += 1
-        moved = self._rounded(np.maximum(np.abs(errors), led))
+        moved = self._rounded(np.maximum(np.abs(errors), led)) + ROUNDED * self.spread[:, None] * np.sqrt(radii)
         return RunErrors(errors.transpose(1, 0, 2), (radii + (2 * np.sqrt(radii) + moved) * moved).T)
 
     def _rounded(self, sizes: Array) -> Array:
         """By how much rounding of numbers of these sizes (R, r, n) may move errors, in units of the ellipsoids."""
-        held = np.sum(np.einsum("kab,krb->kra", np.abs(self.half), sizes) ** 2, axis=2)
-        faded = np.exp(-self.weights.eta * np.diff(self.timeline.rows.times))
+        held = np.linalg.norm(np.einsum("kab,krb->kra", np.abs(self.half), sizes), axis=2)
+        faded = np.exp(-self.weights.eta / 2 * np.diff(self.timeline.rows.times))
         for k, share in enumerate(faded.tolist(), 1):
             held[k] += share * held[k - 1]
-        return np.asarray(ROUNDED * np.sqrt(held))
+        return np.asarray(ROUNDED * held)
 
     def _solve(
         self, window: SolveWindow, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]

@@ -85,8 +85,9 @@ def most_along(bound: Array, direction: Array) -> Array:
     """Return, for each (..., m) direction, the signal within the bound whose product with it is largest."""
     if bound.ndim == 1:
         return bound * np.sign(direction)
-    size = np.linalg.norm(direction, axis=-1, keepdims=True)
-    return np.where(size > 0, bound * direction / np.where(size > 0, size, 1.0), 0.0)
+    largest = np.abs(direction).max(axis=-1, keepdims=True, initial=0.0)  # of faded ones no square is a double
+    unit = direction / np.where(largest > 0, largest, 1.0)
+    return np.where(largest > 0, bound * unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1.0), 0.0)
 
 
 def within(bound: Array, raw: Array) -> Array:

@@ -215,8 +215,9 @@ class ValidationStudy:
         if self.line.times[-1] < SETTLED * self.horizon:
             self.skipped.append("growth under a resonant disturbance: the schedule ends within three horizons.")
             return
-        if self.certificate is None and self.line.samples.size < GAPS_TO_SETTLE:
-            few = f"{self.line.samples.size} samples, without a certificate it settles in {GAPS_TO_SETTLE}."
+        if (self.certificate is None or not self.schedule.endless) and self.line.samples.size < GAPS_TO_SETTLE:
+            where = "on a finite schedule" if self.certificate else "without a certificate"
+            few = f"{self.line.samples.size} samples, {where} it settles in {GAPS_TO_SETTLE}."
             self.skipped.append(f"growth under a resonant disturbance: {few}")
             return
         grown, limit = growth(trials.size, self.line.rows.times), GROWTH_LIMIT["resonant"]

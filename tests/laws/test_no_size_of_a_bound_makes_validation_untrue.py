@@ -14,9 +14,10 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.monte_carlo import ratio
-from sampling_design.validation.report import ClaimCheck
-from sampling_design.validation.scenario import ErrorSources
+from sampling_design.validation.report import ROUNDING, ClaimCheck
+from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.trials import EstimatedRun, true_run
 from tests.cases import few
@@ -152,6 +153,49 @@ def test_growth_is_judged_only_where_it_can_have_settled():
     assert "growth of the error (resonant): 2 samples, it settles in 40." in report.skipped
     own = sd.validate(plant, sd.Schedule([0.3, 0.9]), horizon=0.2, runs=1, scenarios=["resonant"], **bounds)
     assert "2 samples, without a certificate it settles in 40." in own.skipped[-1]
+
+
+def test_growth_along_a_finite_schedule_is_judged_only_over_many_samples():
+    """Its gaps may be longer in its second half: a certificate promises no more than its bound."""
+    plant = sd.Plant([[0.1]], [[1.0]])
+    for gaps in (np.full(12, 0.5), np.append(np.full(6, 0.2), np.full(6, 1.5))):
+        schedule = sd.Schedule(np.cumsum(gaps))
+        made = sd.certify(plant, schedule, eta=2.0, P2=[[1.0]])
+        report = sd.validate(plant, schedule, made, runs=1, scenarios=["resonant"])
+        assert report.passed
+        assert report.skipped[-1].endswith("12 samples, on a finite schedule it settles in 40.")
+
+
+@pytest.mark.parametrize("place", few(range(12), 1, 4))
+def test_rounding_that_adds_up_along_a_run_breaks_no_ellipsoid(place):
+    """What nothing drives and decays is known ever better, and the flow's rounding has one sign at every step."""
+    modes = np.array([[0.994637, -0.960112], [0.10343, 0.279616]])
+    decay = 0.0757951 + 0.002 * place
+    A = modes @ np.diag([0.0, -decay]) @ np.linalg.inv(modes)
+    plant = sd.Plant(A, [[0.0391, -0.3308]], G=np.zeros((2, 0)))
+    root = np.array([[1.4e4, 0.0], [-1.35e5, 13.6]])
+    weights = {"P2": root @ root.T, "Qw": np.zeros((0, 0)), "R": [[1e4]], "Qv": [[1e4]], "eta": 0.0077}
+    bounds = {"w_bound": 0.0, "v_bound": 0.0171, "initial_error": [0.2, 0.067]}
+    cost = CostFunction(form="paper", **weights)
+    estimator = sd.MovingHorizonEstimator(plant, horizon=190.0, cost=cost, **bounds)
+    line = build_timeline(plant, sd.PeriodicSchedule([5.25874, 7.77063]), 400.0, 190.0)
+    known = ScenarioBounds.of(plant, *bounds.values())
+    errors = ErrorMap(line, estimator, known)
+    runs = errors.apply(draw_inputs(line, known, np.random.SeedSequence(place).spawn(4)))
+    assert np.nanmax(errors.ellipsoid_ratio(runs)) <= 1 + ROUNDING
+
+
+def test_a_prior_holds_every_start_within_its_bound():
+    """Its covariance is the inverse of a weight, which is known as well as that has digits."""
+    for angle in np.linspace(0.05, 1.5, 30):
+        turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        P2 = turned.T @ np.diag([1.0, 1e9]) @ turned
+        cost = CostFunction(P2=P2, Qw=[[1.0]], R=[[1.0]], Qv=[[1.0]], eta=0.1)
+        plant = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], G=[[1.0], [1.0]])
+        bounds = {"w_bound": 1.0, "v_bound": 1.0, "initial_error": [0.1, 0.2]}
+        estimator = sd.MovingHorizonEstimator(plant, horizon=1.0, cost=cost, **bounds)
+        for corner in ([0.1, 0.2], [0.1, -0.2]):
+            assert estimator.predict(0.0).ratio(corner) <= 1.0
 
 
 if __name__ == "__main__":

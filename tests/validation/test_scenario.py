@@ -66,6 +66,14 @@ def test_directions_and_sizes():
     assert largest_energy(weight, ball) == pytest.approx(4 * np.linalg.eigvalsh(weight)[-1])
 
 
+@pytest.mark.parametrize("size", [1e-320, 1e-162, 1e-155, 1.0, 1e300])
+def test_what_reaches_furthest_keeps_its_bound_however_little_it_reaches(size):
+    direction = size * np.array([[3.0, 4.0], [-0.5, 0.0]])
+    found = most_along(np.asarray(2.0), direction)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 2.0, rtol=1e-14)
+    np.testing.assert_allclose(found, [[1.2, 1.6], [-2.0, 0.0]], rtol=1e-3)
+
+
 def test_a_simulated_record_is_exact_with_inputs_and_feedthrough():
     plant = Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0], [0.0, 1.0]], B=[[0.0], [1.0]], D=[[0.5], [0.0]])
     schedule = PeriodicSchedule([0.7, 1.1], outputs=[[1, 1], [1, 0]])

@@ -55,7 +55,7 @@ class Recorder:
 
     def prior(self, t: float, x: Array) -> HistoryNode:
         """Return the first node, before any sample: x at t with the weight P2."""
-        root, energy = self.loop.weights.prior_root, self.bounds.prior
+        root, energy = self.loop.weights.prior_root, self.bounds.prior * (1 + self.loop.weights.loose)
         Y, zero, scheduled = freeze(root @ root.T), np.zeros(self.loop.weights.plant.n_outputs), self.claim.stands
         estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
         return HistoryNode(

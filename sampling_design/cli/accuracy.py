@@ -45,13 +45,13 @@ class TimeOptions:
             metavar="N,N,...", help="Without SCHEDULE: so many, evenly spaced in --period; 0 for none at all."
         ),
     ] = None
-    period: Annotated[float | None, typer.Option(help="Of --samples [plant's time unit].")] = None
+    period: Annotated[float | None, typer.Option(help="Of --samples [time unit]; no default.")] = None
     timing_tolerance: TimingOption = None
     result_delay: Annotated[
         str | None,
         typer.Option(
-            help="How long after its sample a result comes at most, one number or one for each output; --v-bound then "
-            "bounds each entry."
+            help="How long after its sample a result comes at most [time unit], one number or one for each output; "
+            "--v-bound then bounds each entry."
         ),
     ] = None
 

@@ -53,22 +53,24 @@ ScheduleFile = Annotated[
         help="Schedule file; none where PLANT is a plan, or with --gap-range, --spaced, --detectability.",
     ),
 ]
-Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error; default: searched.")]
+Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error [1/time unit]; default: searched.")]
 NoiseGain = Annotated[
     float | None,
     typer.Option(help="Noise gains, where chosen: at most so many times their least; default 3 (--detectability: 10)."),
 ]
 Gaps = Annotated[
-    tuple[float, float] | None, typer.Option(metavar="A B", help="Every schedule with gaps between A and B.")
+    tuple[float, float] | None,
+    typer.Option(metavar="A B", help="Every schedule with gaps between A and B [time unit]."),
 ]
 Spaced = Annotated[
     tuple[float, int, float] | None,
-    typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart."),
+    typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart [time unit]."),
 ]
 Jittered = Annotated[
     str | None,
     typer.Option(
-        metavar="TIME", help="SCHEDULE with every sample up to this early or late, EARLY:LATE, or NAME=either,..."
+        metavar="TIME",
+        help="SCHEDULE with every sample up to this early or late [time unit], EARLY:LATE, or NAME=either,...",
     ),
 ]
 Lost = Annotated[
@@ -253,7 +255,9 @@ def robustness(
     settings: Settings,
     plant_file: PlantFile,
     certificate_file: CertificateArgument,
-    horizon: Annotated[float | None, typer.Option(help="Horizon to be kept; default: the certificate's.")] = None,
+    horizon: Annotated[
+        float | None, typer.Option(help="Horizon to be kept [time unit]; default: the certificate's.")
+    ] = None,
     longest: Annotated[int, typer.Option(help="Losses are counted among this many samples.")] = 8,
 ) -> None:
     """Say how late samples may come, and how many may be lost, before a certificate no longer holds.

@@ -41,7 +41,10 @@ SECONDS_BOUGHT = 1.0
 def info(
     settings: Settings,
     plant_file: PlantFile,
-    window: Annotated[float | None, typer.Option(help="Window length for the counts [plant's time unit].")] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(help="Window of the counts [time unit]; default: the longest oscillation, else 4/|A|."),
+    ] = None,
 ) -> None:
     """Show a plant: its modes, which of them must be observable, and how many samples that takes.
 
@@ -88,15 +91,29 @@ def design(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: RequirementFile = None,
-    window: Annotated[float | None, typer.Option(help="Window length that must be observable.")] = None,
-    period: Annotated[float | None, typer.Option(help="The schedule repeats after this time.")] = None,
-    spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None,
-    samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
-    target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
-    cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(help="Window that must show the state [time unit]; default: the longest oscillation, else 4/|A|."),
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option(help="The schedule repeats after this time [time unit]; default: the window.")
+    ] = None,
+    spacing: Annotated[
+        float | None, typer.Option(help="Least time between two samples [time unit]; default: window/(4 samples).")
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option(help="Exactly so many samples per period; default: what the zero count asks for.")
+    ] = None,
+    target_sigma: Annotated[
+        float | None, typer.Option(help="Default: none. The fewest samples that reach this sigma.")
+    ] = None,
+    cost_limit: Annotated[
+        float | None, typer.Option(help="Most that the measurements of a period may cost; default: no limit.")
+    ] = None,
     timing_tolerance: TimingOption = None,
     branches: Annotated[
-        int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
+        int | None,
+        typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; default: while that helps."),
     ] = None,
     start: Annotated[
         str | None,
@@ -177,7 +194,7 @@ def pareto(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: RequirementFile = None,
-    counts: Annotated[str, typer.Option(help="Samples per period: 8,10,12 or 8-16.")] = "",
+    counts: Annotated[str, typer.Option(help="Samples per period, at least one number: 8,10,12 or 8-16.")] = "",
     workers: WorkerCount = 1,
     scheduler: Scheduler = None,
     budget: Annotated[

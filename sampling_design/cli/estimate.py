@@ -39,7 +39,9 @@ def estimate(
         typer.Option("--schedule", "--plan", metavar="FILE", help="Schedule that is certified first, or a plan."),
     ] = None,
     prior: Annotated[str | None, typer.Option(help="State before any sample, with commas between; default 0.")] = None,
-    horizon: Annotated[float | None, typer.Option(help="Length of the window; default: the certificate's.")] = None,
+    horizon: Annotated[
+        float | None, typer.Option(help="Length of the estimator's window [time unit]; default: the certificate's.")
+    ] = None,
     typed: BoundOptions = UNBOUNDED,
     eta: Eta = None,
     how: EstimateOptions = USUAL,

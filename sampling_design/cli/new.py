@@ -62,13 +62,17 @@ PLAN = {
 class PlantModes:
     """What moves in a plant, and what shows it, as it was typed."""
 
-    name: Annotated[str, typer.Option(help="Name of the plant.")] = ""
+    name: Annotated[str, typer.Option(help="Name of the plant; default: that of DIR.")] = ""
     unit: Annotated[str, typer.Option(help="Unit of time: ms, s, min, h, d or wk.")] = "h"
-    oscillation: Annotated[str, typer.Option(help="Periods of undamped oscillations, with commas between.")] = ""
-    decay: Annotated[str, typer.Option(help="Times in which a decaying mode falls to a third, commas between.")] = ""
+    oscillation: Annotated[
+        str, typer.Option(help="Periods of undamped oscillations [time unit], with commas between.")
+    ] = ""
+    decay: Annotated[
+        str, typer.Option(help="Times in which a decaying mode falls to a third [time unit], commas between.")
+    ] = ""
     level: Annotated[bool, typer.Option("--level/--no-level", help="A level that stays, or none.")] = True
     half_life: Annotated[
-        str, typer.Option(help="Times in which a decaying mode halves, commas between: 3, or '3 d'.")
+        str, typer.Option(help="Times in which a decaying mode halves [time unit], commas between: 3, or '3 d'.")
     ] = ""
     names: Annotated[
         str, typer.Option(help="What the modes are called: the level, oscillations, decaying ones, commas between.")
@@ -89,7 +93,7 @@ class PlantModes:
             raise ArgumentError(
                 "`new` needs to know what moves: give --oscillation PERIODS, --decay or --half-life TIMES, or both."
             )
-        sensors, names, units = map(listed, (self.sensors, self.names, self.units))
+        sensors, names, units = (_named(f"--{key}", getattr(self, key)) for key in ("sensors", "names", "units"))
         return sd.plants.plant_of_modes(
             oscillations, self.decays, level=self.level, sensors=sensors, units=units, names=names,
             time_unit=self.unit, name=self.name,
@@ -138,6 +142,15 @@ def new(
         words = f"Next: sampling-design plan {shell_word(paths[0])} {made}"
         data["plan"] = planned.to_dict()
     settings.show(data, words)
+
+
+def _named(flag: str, text: str) -> list[str]:
+    """Names with commas between; whoever separates them otherwise is told."""
+    if any(mark in text for mark in ";=\n"):
+        raise ArgumentError(
+            f"`{flag}` must be names with commas between, without ; and = and in one line, got {text!r:.60}."
+        )
+    return listed(text)
 
 
 def _dated(asked: RequirementFlags) -> dict[str, str]:

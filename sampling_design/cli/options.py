@@ -42,8 +42,16 @@ RequirementFile = Annotated[
 MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
 CertificateFile = Annotated[Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate (.json).")]
 CertificateArgument = Annotated[Path, typer.Argument(metavar="CERTIFICATE", help="Certificate file (.json).")]
-Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error, where one is certified.")]
-Window = Annotated[float | None, typer.Option(help="Window over which sigma is judged [plant's time unit].")]
+Eta = Annotated[
+    float | None,
+    typer.Option(help="Discount rate of the squared error [1/time unit], where one is certified; default: searched."),
+]
+Window = Annotated[
+    float | None,
+    typer.Option(
+        help="Window over which sigma is judged [time unit]; default: the longest oscillation, or of longer gaps."
+    ),
+]
 RelativeWidth = Annotated[float, typer.Option(help="Relative width of the bracket.")]
 Rigorous = Annotated[
     bool, typer.Option("--rigorous", help="Decide in ball arithmetic: a theorem about the stated numbers.")
@@ -59,7 +67,7 @@ TimingOption = Annotated[
     str | None,
     typer.Option(
         metavar="TIME",
-        help="How early or late each sample may be: TIME, EARLY:LATE, or NAME=TIME,... for each output by itself.",
+        help="How early or late each sample may be [time unit]: TIME, EARLY:LATE, or NAME=TIME,... of each output.",
     ),
 ]
 """What is said then holds at all such times."""

@@ -19,6 +19,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.plan_record import Plan
 from sampling_design.records.dates import zoned_date
+from sampling_design.records.file_io import check_columns
 from sampling_design.schedules.opening import WEEK
 
 
@@ -55,6 +56,8 @@ def plan(
     requirement, plant = files.plan_requirement(plant_file, requirement_file)
     if timing_tolerance is not None:
         requirement = requirement.replace(timing_tolerance=timing(timing_tolerance))
+    if settings.output is not None:  # found out before the search, not behind it
+        check_columns(f"{plant_file}", plant.outputs.names)
     other = None if compare is None else files.plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)

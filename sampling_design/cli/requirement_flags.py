@@ -30,12 +30,23 @@ class RequirementFlags:
     """The flags of `new` that say what is wanted, as they were typed."""
 
     period: Annotated[
-        float | None, typer.Option(help="It repeats after this; default: one oscillation, of a plan with dates a week.")
+        float | None,
+        typer.Option(help="It repeats after this [time unit]; default: one oscillation, of a plan with dates a week."),
     ] = None
-    samples: Annotated[int | None, typer.Option(help="So many samples in a period, for `design`.")] = None
-    spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None
+    samples: Annotated[
+        int | None,
+        typer.Option(help="So many samples in a period, for `design`; default: what the zero count asks for."),
+    ] = None
+    spacing: Annotated[
+        float | None, typer.Option(help="Least time between two samples [time unit]; default: period/(4 samples).")
+    ] = None
     open_hours: Annotated[
-        str, typer.Option("--open", metavar="HOURS", help='When somebody is there: 7-19, or "Mon-Fri 8:30-12, 13-17".')
+        str,
+        typer.Option(
+            "--open",
+            metavar="HOURS",
+            help='When somebody is there: 7-19, or "Mon-Fri 8:30-12, 13-17"; default: always.',
+        ),
     ] = ""
     weekend: Annotated[bool, typer.Option("--weekend/--no-weekend", help="Samples on Saturday and Sunday too.")] = True
     within: Annotated[
@@ -55,7 +66,13 @@ class RequirementFlags:
     start: Annotated[str, typer.Option(metavar="DATE", help="Local date of time zero, as 2026-03-02.")] = ""
     zone: Annotated[str, typer.Option(metavar="NAME", help="Time zone, as Europe/Berlin; default UTC.")] = ""
     holidays: Annotated[str, typer.Option(metavar="DATES", help="Closed dates, with commas between.")] = ""
-    grid: Annotated[str, typer.Option(metavar="TIME", help='Samples of a plan lie on multiples of it: "1 h".')] = ""
+    grid: Annotated[
+        str,
+        typer.Option(
+            metavar="TIME",
+            help='Samples of a plan lie on multiples of it [time unit], or "15 min"; default: 1 h with dates.',
+        ),
+    ] = ""
 
 
 def positive_times(flag: str, text: str, unit: str) -> list[float]:
@@ -176,7 +193,7 @@ def plan_requirement(asked: RequirementFlags, plant: sd.Plant, span: float) -> s
     return sd.PlanRequirement(
         goals,  # numbers are tolerances
         period=asked.period if calendar is not None or asked.period is not None else span,
-        grid=asked.grid or (GRID if calendar is not None else None),
+        grid=number_or_text(asked.grid) if asked.grid else GRID if calendar is not None else None,
         spacing=asked.spacing,
         visit_price=asked.visit,
         w_bound=bounds,

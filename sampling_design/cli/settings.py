@@ -74,10 +74,16 @@ class Settings:
     no_picture: Annotated[bool, typer.Option("--no-picture", help="With -o: all files but the picture.")] = False
     budget: Annotated[float, typer.Option(help="Seconds a search may take, by the clock.", metavar="SECONDS")] = 60.0
     decay_rate: Annotated[
-        float | None, typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit].")
+        float | None,
+        typer.Option(
+            help="Retain modes whose squared error decays slower [1/time unit]; default: 0, or the requirement's."
+        ),
     ] = None
     of: Annotated[
-        str | None, typer.Option(help="Only these rows of the state: names of states or outputs, with commas between.")
+        str | None,
+        typer.Option(
+            help="Only these rows of the state: names of states or outputs, with commas between; default: all."
+        ),
     ] = None
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)

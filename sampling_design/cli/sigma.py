@@ -57,9 +57,9 @@ def sigma(
 def worst_case(
     settings: Settings,
     plant_file: PlantFile,
-    window: Annotated[float, typer.Option(help="Window length.")],
+    window: Annotated[float, typer.Option(help="Window length [time unit].")],
     count: Annotated[int, typer.Option(help="At least so many samples in every window.")],
-    spacing: Annotated[float, typer.Option(help="Least time between two samples.")],
+    spacing: Annotated[float, typer.Option(help="Least time between two samples [time unit].")],
     rtol: RelativeWidth = 0.01,
     rigorous: RigorousBound = False,
     timing_tolerance: TimingOption = None,

@@ -21,7 +21,7 @@ def thyroid(
         list[NoiseInterpretation] | None,
         typer.Option(help="How w is read; may be repeated. Default: per_second and per_day."),
     ] = None,
-    days: Annotated[float, typer.Option(help="Length of a run.")] = 20.0,
+    days: Annotated[float, typer.Option(help="Length of a run [d].")] = 20.0,
     degree: Annotated[int, typer.Option(help="Of the polynomials of the state on pieces of 2 h.")] = 3,
     workers: Annotated[int | None, typer.Option(help="Processes; default: one per core.")] = None,
 ) -> None:

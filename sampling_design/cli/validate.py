@@ -38,7 +38,9 @@ def validate(
     schedule_file: ScheduleFile = None,
     certificate_file: CertificateFile = None,
     runs: Annotated[int, typer.Option(help="Random trials.")] = 200,
-    duration: Annotated[float | None, typer.Option(help="Length of a trial [plant's time unit].")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Length of a trial [time unit]; default: three horizons, and at least 40 gaps.")
+    ] = None,
     typed: BoundOptions = UNBOUNDED,
     eta: Eta = None,
     workers: WorkerCount = 1,

@@ -96,8 +96,8 @@ class Collocation(Record):
         more than this share of its own standard deviation (weights read as inverse covariances), the degree grows, then
         the pieces are halved; if that is not enough, the estimate's note says so. None: the grid stays as it is.
     inputs : "held" or "linear"
-        What an input does between the times at which it is given: keep its value, or run straight to the next one
-        (held after the last).
+        What an input does between the times at which it is given: keep its value, or run straight to the next one.
+        After the last it is held, and an estimate there says that it assumes so.
 
     Raises
     ------

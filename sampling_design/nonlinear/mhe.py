@@ -258,7 +258,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if not self._scales_checked:
             self._scales_checked = True
             warn_of_scales(self.plant, "outputs", [sample.y])
-        taken, rejected_note = self._without_outliers(state, sample)
+        taken, rejected = self._without_outliers(state, sample)
+        noted = f"{rejected} {self.loop.assumed(state, sample.t)}".strip()
         counted, scheduled = self._counted(state, taken)
         refined, allowed = False, self.search.collocation.accuracy or np.inf
         while True:
@@ -274,9 +275,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         details = {"window_start": float(data.edges[0]), "engine": solution.engine}
         if solution.status != "ok" or answer.covariances is None:
             x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t, state.last.counted)
-            note = (
-                f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {rejected_note}".strip()
-            )
+            note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {noted}".strip()
             if counts(taken, counted) and self.error_bound is not None:
                 counted = state.last.counted  # nothing was learned from it
             return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
@@ -290,7 +289,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 f"{self.search.degree} and pieces of {self.search.w_step:.3g}: choose a shorter horizon or w_step."
             )
         square = self._bound(data, answer, start, counts(taken, counted))
-        note = " ".join(filter(None, (*words, rejected_note)))
+        note = " ".join(filter(None, (*words, noted)))
         return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
     def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:

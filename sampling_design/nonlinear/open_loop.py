@@ -88,6 +88,12 @@ class NonlinearLoop:
         share = (b - times[k - 1]) / (times[k] - times[k - 1])
         return np.asarray(u + share * (state.inputs[k][1] - u))
 
+    def assumed(self, state: EstimatorState, t: float) -> str:
+        """What is assumed at t of an input that runs straight to one that is not given yet."""
+        if not self.ramps or not state.inputs or t <= state.inputs[-1][0]:
+            return ""
+        return f"Assumes that the input has kept its value since t = {state.inputs[-1][0]:.6g}, when it was last given."
+
     def propagated(
         self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None, guess: bool = False
     ) -> tuple[Array, Array | None, bool]:
@@ -225,4 +231,5 @@ class NonlinearLoop:
         x, Y, square, trouble = self.ahead(state, node, t, last)
         status: Status = "solver failed" if "fails" in trouble else "predicted"
         scheduled = node.scheduled and (self.error_bound is None or bool(np.isfinite(self.error_bound.age(t, last))))
-        return self.estimate(t, x, status, Y, square, last, trouble, scheduled)
+        note = f"{trouble} {self.assumed(state, t)}".strip()
+        return self.estimate(t, x, status, Y, square, last, note, scheduled)

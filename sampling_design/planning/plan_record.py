@@ -29,7 +29,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Column, above, below, plain, selected
-from sampling_design.records.file_io import to_json, write_text
+from sampling_design.records.file_io import check_columns, to_json, write_text
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
@@ -60,10 +60,13 @@ def write_plan(
 
     Raises
     ------
+    ArgumentError
+        If the name of a sensor cannot be a column; nothing is written then.
     FileFormatError
         If a file cannot be written.
     """
     place, notes = Path(folder), list[str]()
+    check_columns("plan", plan.plant.outputs.names)
     files = [
         write_text(place / "plan.json", to_json(plan.to_dict())),
         write_plant(plan.plant, place / "plant.toml"),

@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.sparse import SparsePlant
 from sampling_design.records import checks
+from sampling_design.records.file_io import check_columns
 from sampling_design.records.signatures import checked
 
 # speeds of the tidal constituents [degree/h] and round typical amplitudes [m], of no particular gauge
@@ -351,8 +352,8 @@ def plant_of_modes(
     Raises
     ------
     ArgumentError
-        If nothing moves or is measured, a time is not positive, a name comes twice, or there is another number of names
-        or units.
+        If nothing moves or is measured, a time is not positive, a name comes twice or cannot be a column of a file, or
+        there is another number of names or units.
 
     Examples
     --------
@@ -373,6 +374,7 @@ def plant_of_modes(
     if not len(sensors):
         raise ArgumentError("`sensors` must name at least one: a plant without outputs cannot be measured.")
     sensors = checks.names("sensors", sensors, len(sensors), "")
+    check_columns("sensors", sensors)
     C, shared = np.tile(row, (len(sensors), 1)), units[0] if len(set(units)) == 1 else ""
     outputs = Signals(sensors, [shared] * len(sensors) if len(units) == 1 else units)
     return Plant(A, C, time_unit=time_unit, states=Signals(states, [shared] * len(states)), outputs=outputs, name=name)

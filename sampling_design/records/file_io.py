@@ -25,9 +25,14 @@ from sampling_design.records.arrays import Array
 PIECES = 1 << 14  # tokens of JSON that are written at a time
 
 FRAME = "the frame"  # where rows stand that no file holds
+STAMPS = ("time", "date")  # names of the column that says when a row was measured
+SINCE = "_since"  # ending of the column that says where a composite sample of an output began
+UNTIL = "_until"  # ending of the column that says until when a row may have been measured
+MISSING = ("", "-", "--", "nan", "na", "n/a", "#n/a", "nat", "null", "none")  # how programs write: not measured
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITH_UNIT = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)? ?[^\W\d_].*", re.ASCII | re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([., ']\d{3})+([.,]\d+)?", re.ASCII)
+_MINUS = "\N{MINUS SIGN}"  # that typesetters write
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 _MARKED = {  # a cell between separators that holds a number with this decimal mark
     mark: re.compile(
@@ -119,6 +124,20 @@ def is_column(name: str, *taken: str) -> bool:
     return bool(name) and name == name.strip() and name not in taken and not any(c in name for c in "\r\n")
 
 
+def check_columns(argument: str, names: Sequence[str]) -> None:
+    """Refuse names of sensors that a form or a schedule would not give back as columns of their own.
+
+    Raises ArgumentError where a name is taken by the times, or by the beginnings of another sensor's composite samples.
+    """
+    taken = [*STAMPS, *(stamp + UNTIL for stamp in STAMPS), *(name + SINCE for name in names)]
+    for name in names:
+        if not is_column(name, *taken) or name.startswith("#"):
+            raise ArgumentError(
+                f"`{argument}`: {name!r:.60} cannot be the column of a sensor in a CSV file. Taken are time and date, "
+                "these with _until, and the name of a sensor with _since; # begins a comment, and a name has one line."
+            )
+
+
 def separator(header: str) -> str:
     """What separates the cells of a CSV file with this header: a comma, a semicolon or a tab."""
     return max(",;\t", key=header.count) if header.count(",") == 0 else ","
@@ -201,10 +220,18 @@ def decimal(cell: str) -> float | None:
         return None
 
 
-def number_slip(cell: str) -> str:
+def number_slip(cell: str, where: str = "") -> str:
     """The likely slip in a cell that holds no number."""
     if (point := cell.replace(",", ".")) != cell and decimal(point) is not None:
+        if where == FRAME:
+            return (
+                f" Write {point}: pandas reads a file of such numbers with decimal=',', polars with decimal_comma=True."
+            )
         return f" Write {point}, or separate cells by semicolons: then a comma is a decimal one."
+    if (minus := cell.replace(_MINUS, "-")) != cell and decimal(minus) is not None:
+        return f" Write {minus}: its minus is another sign, a dash of print."
+    if _DECIMAL.fullmatch(cell):
+        return " No double is so large, or so small."
     if _THOUSANDS.fullmatch(cell):
         return " Thousands are not separated."
     return " A cell holds the number alone; its unit stands in the plant." if _WITH_UNIT.fullmatch(cell) else ""

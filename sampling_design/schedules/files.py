@@ -13,7 +13,7 @@ import numpy as np
 from sampling_design.checkers import schedule_file
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records import checks, file_io
-from sampling_design.records.file_io import csv_rows, decimal, from_json, read_text, to_json, write_text
+from sampling_design.records.file_io import csv_cell, csv_rows, decimal, from_json, read_text, to_json, write_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import AnySchedule
@@ -181,7 +181,7 @@ def _to_csv(schedule: AnySchedule) -> str:
     if mask is not None and names is None:
         names = _nameless(mask.shape[1])
     for name in schedule.output_names or ():
-        if not file_io.is_column(name, "time") or any(c in name for c in ',"#'):
+        if not file_io.is_column(name, "time") or name.startswith("#"):
             raise ArgumentError(f"`output_names`: {name!r} cannot be a column of a CSV file. Write .json instead.")
     if mask is None:
         mask = np.ones((len(schedule), len(names or ())), dtype=bool)
@@ -189,7 +189,7 @@ def _to_csv(schedule: AnySchedule) -> str:
         ",".join([repr(t), *("1" if m else "0" for m in measured)])
         for t, measured in zip(schedule.times.tolist(), mask.tolist(), strict=True)
     ]
-    return "\n".join(["; ".join(head), ",".join(["time", *(names or ())]), *rows]) + "\n"
+    return "\n".join(["; ".join(head), ",".join(["time", *map(csv_cell, names or ())]), *rows]) + "\n"
 
 
 def _from_csv(text: str, where: str) -> AnySchedule:

@@ -10,13 +10,11 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.dates import MICROSECONDS, UnmixedDates, date_in, passed, time_zone, zoned_date, zoned_text
-from sampling_design.records.file_io import csv_rows, decimal, has_cells, read_text
+from sampling_design.records.file_io import MISSING, csv_rows, decimal, has_cells, read_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS, check_time_unit
 from sampling_design.schedules.files import in_file
 from sampling_design.schedules.schedule import Schedule
-
-MISSING = ("", "-", "--", "nan", "na", "n/a", "nat", "null", "none")  # how programs write that nothing was measured
 
 
 @checked

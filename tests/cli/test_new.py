@@ -1,5 +1,6 @@
 """new: a plant and a requirement that a newcomer can read, and that every other command takes."""
 
+import csv
 import json
 
 import numpy as np
@@ -17,8 +18,10 @@ from sampling_design.cli.requirement_flags import (
     week,
 )
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.records.measurements import write_measurements
 from sampling_design.planning.requirement_file import read_plan_requirement
 from sampling_design.records.units import check_time_unit
+from sampling_design.schedules.files import write_schedule
 
 
 def test_what_it_writes_is_what_was_said(shell, tmp_path):
@@ -49,6 +52,51 @@ def test_half_lives_names_and_units_are_taken(shell, tmp_path):
     assert plant.transition(12.0)[5, 5] == pytest.approx(0.5)
     refused = shell("new", tmp_path / "x", "--half-life", 6, "--names", "one")
     assert "`--names` must have 2 entries, got 1" in refused.err
+
+
+ODD = [
+    "time", "date", "time_until", "date_until", "a_since", "#1", "a\nb", " a", "Time", 'a "b"', "a,b", "a;b", "a=b",
+    "ü", "1", "nan", "w1", "since", "x" * 300,
+]  # fmt: skip
+REFUSED = 8
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_name_of_a_sensor_is_refused_at_the_door_or_comes_back_out_of_every_file(name, tmp_path):
+    """A plan names its sensors in a schedule and in a form; those that one of them cannot hold are named before."""
+    if ODD.index(name) < REFUSED:
+        with pytest.raises(ArgumentError, match="cannot be the column of a sensor"):
+            sd.plants.plant_of_modes([24.0], sensors=[name, "a"])
+        return
+    plant = sd.plants.plant_of_modes([24.0], sensors=[name, "a"])
+    schedule = sd.PeriodicSchedule([8.0, 16.0], outputs=[[1, 0], [0, 1]], output_names=[name, "a"], time_unit="h")
+    path = tmp_path / "schedule.csv"
+    assert sd.read_schedule(write_schedule(schedule, path)).output_names == (name, "a")
+    read = sd.Measurements(plant, [0.0, 8.0], [[1.0, np.nan], [np.nan, 2.0]])
+    found = sd.read_measurements(write_measurements(read, tmp_path / "read.csv"), plant)
+    assert np.array_equal(found.y, read.y, equal_nan=True)
+    rows = [["date", name, "a"], ["2026-03-02T08:00", "1", "2"]]
+    with (tmp_path / "form.csv").open("w", newline="") as form:
+        csv.writer(form).writerows(rows)
+    assert sd.read_measurements(tmp_path / "form.csv", plant).y.tolist() == [[1.0, 2.0]]
+
+
+def test_names_that_are_not_separated_by_commas_are_no_one_name(shell, tmp_path):
+    flags = ("--oscillation", 24, "--within", 1, "--noise", 0.1, "--disturbance", 0.1)
+    for flag, words in (("--sensors", "strip;lab"), ("--units", "mg/l;g/l"), ("--names", "a=b,c")):
+        refused = shell("new", tmp_path, *flags, flag, words)
+        assert (refused.code, f"`{flag}` must be names with commas between" in refused.err) == (2, True)
+    assert "'date' cannot be the column of a sensor" in shell("new", tmp_path, *flags, "--sensors", "date").err
+    assert not any(tmp_path.iterdir())
+    assert shell("new", tmp_path, *flags, "--grid", 6).code == 0  # a number of hours, as times are elsewhere
+    named = (
+        (tmp_path / "plan.toml").read_text().replace('"sensor"', '"date"').replace("[sensors.sensor]", "[sensors.date]")
+    )
+    (tmp_path / "plan.toml").write_text(named)
+    (tmp_path / "plant.toml").write_text((tmp_path / "plant.toml").read_text().replace('"sensor"', '"date"'))
+    refused = shell("plan", tmp_path / "plant.toml", tmp_path / "plan.toml", "-o", tmp_path / "out")
+    assert (refused.code, "'date' cannot be the column of a sensor" in refused.err) == (2, True)
+    assert not (tmp_path / "out" / "plan.json").exists()
 
 
 def test_a_measurement_without_a_price_costs_one():

@@ -1,5 +1,6 @@
 """What a page shows is there: commands that the program takes, names that the code has, files of the tree."""
 
+import code
 import importlib
 import re
 import shlex
@@ -45,6 +46,36 @@ def test_a_wrong_flag_would_be_found():
 
 def test_pages_with_commands_are_found():
     assert sum(len(list(command_lines(page.read_text()))) for page in PAGES) > 20
+
+
+def refused_at_the_prompt(cell):
+    """Lines at which an interpreter that reads line by line, as Python's own up to 3.12 does, refuses a pasted cell."""
+    refused, typed = [], []
+    for line in [*re.sub(r"\A(---\n.*?---\n|(:.*\n)+|%.*\n)+", "", cell, flags=re.DOTALL).splitlines(), ""]:
+        typed.append(line)
+        try:
+            if code.compile_command("\n".join(typed)) is not None:
+                typed = []
+        except SyntaxError:
+            refused, typed = [*refused, line], []
+    return refused
+
+
+@pytest.mark.filterwarnings("ignore::SyntaxWarning")  # of half a line
+def test_what_is_pasted_at_the_prompt_runs():
+    """A loop is followed by an empty line; methods of a class stand apart, so that one is for a file or a notebook."""
+    pages = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if not {"made", "_build"} & {*p.parts})]
+    cells = {
+        (page.name, cell)
+        for page in pages
+        for cell in re.findall(
+            r"^```(?:\{code-cell\} python|python)\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE
+        )
+        if not re.search(r"^class ", cell, re.MULTILINE)
+    }
+    assert len(cells) > 150
+    assert [(page, line) for page, cell in cells for line in refused_at_the_prompt(cell)] == []
+    assert refused_at_the_prompt("for k in (1, 2):\n    print(k)\nprint(3)\n") == ["print(3)"]
 
 
 def imported(text: str) -> set[tuple[str, str]]:

@@ -13,6 +13,7 @@ from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.records.measurement_table import BLOCK
 from sampling_design.estimators.records.measurements import write_measurements
 from sampling_design.plotting import style
+from sampling_design.records.file_io import MISSING
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import import_time_stamps
 
@@ -29,8 +30,8 @@ BLIND = Plant([[0.0]], [[1.0]], outputs=["gauge"])
 PLANT_IN_HOURS = Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
 
 
-def written(tmp_path, text):
-    path = tmp_path / "measurements.csv"
+def written(tmp_path, text, name="measurements.csv"):
+    path = tmp_path / name
     path.write_text(text)
     return path
 
@@ -118,7 +119,7 @@ def test_a_name_that_no_column_gives_back_is_not_written(tmp_path, name):
         ("time;gauge;flow;pump\n0;1.234,5;2;3\n", "'1.234,5'. Thousands are not separated"),
         *(
             (f"time,gauge,flow,pump\n0,{word},2,3\n", "gauge in line 2 is not a number: ")
-            for word in ("True", "inf", "-Infinity", "nan", "1_000", "\u0661", "0x10", "1e999", "1e-999", "9" * 5000)
+            for word in ("True", "inf", "-Infinity", "1_000", "\u0661", "0x10", "1e999", "1e-999", "9" * 5000)
         ),
         (f"time,gauge,flow,pump\n0,{'9' * 200_000},2,3\n", "line 2: cannot be read as cells"),
         (
@@ -129,7 +130,10 @@ def test_a_name_that_no_column_gives_back_is_not_written(tmp_path, name):
             'time,gauge,flow,pump\n0,"1,9",2,0\n',
             r"gauge in line 2 is not a number: '1,9'\. Write 1\.9, or separate cells",
         ),
-        ("time,gauge,flow,pump\n0,nan,2,0\n", "gauge in line 2 is not a number: 'nan'"),
+        ("time,gauge,flow,pump\n0,\N{MINUS SIGN}1,2,0\n", r"'\N{MINUS SIGN}1'\. Write -1: its minus is another sign"),
+        ("time,gauge,flow,pump\n0,1e400,2,0\n", r"'1e400'\. No double is so large"),
+        (",time,gauge,flow,pump\n0,0,1,2,0\n", "column 1 has no name in the header"),
+        ("date,gauge,flow,pump\n2026-03-16 8:00,1,2,0\n", r"'2026-03-16 8:00'\. Write 2026-03-16 08:00"),
         ("time,gauge,flow,pump\n0,1,2,nan\n", "pump in line 2 is not a number"),
         ("time,gauge,flow,pump\nnoon,1,2,0\n", "time in line 2 is not a number: 'noon'"),
         ("date,gauge,flow,pump\nnoon,1,2,0\n", "the date in line 2 is not ISO 8601: 'noon'"),
@@ -140,6 +144,35 @@ def test_a_name_that_no_column_gives_back_is_not_written(tmp_path, name):
 def test_mistakes_are_named(tmp_path, text, message):
     with pytest.raises(FileFormatError, match=message):
         read_measurements(written(tmp_path, text), PLANT)
+
+
+@pytest.mark.parametrize("quote", ["", '"'])  # rows at once, and one by one
+@pytest.mark.parametrize("word", [*MISSING, "NA", "NaN", "N/A", "#N/A"])
+def test_a_word_for_not_measured_is_an_empty_cell_to_every_reader(tmp_path, word, quote):
+    table = "time,gauge,flow,pump\n0,1,{0},0\n1,{0},{0},0\n2,{0},2,0\n"
+    path = written(tmp_path, table.format(f"{quote}{word}{quote}"))
+    found, same = read_measurements(path, PLANT), read_measurements(written(tmp_path, table.format(""), "b.csv"), PLANT)
+    assert np.array_equal(found.y, same.y, equal_nan=True)
+    assert found.times.tolist() == same.times.tolist()
+    stamps = import_time_stamps(path, "h", outputs=["gauge", "flow"])
+    np.testing.assert_array_equal(stamps.outputs, np.isfinite(same.y[[0, 2]]))
+    with pytest.raises(FileFormatError, match="pump "):  # an input keeps its value, and the first row has one
+        read_measurements(written(tmp_path, f"time,gauge,flow,pump\n0,1,2,{quote}{word}{quote}\n", "c.csv"), PLANT)
+
+
+@pytest.mark.parametrize("mark", ",;")
+@pytest.mark.parametrize("quote", ["", '"'])
+def test_empty_columns_beyond_the_last_are_those_of_a_spreadsheet(tmp_path, mark, quote):
+    own = f"time,gauge,flow,pump\n0,1,{quote}2{quote},0\n1,3,,\n".replace(",", mark)
+    same = read_measurements(written(tmp_path, own), PLANT)
+    for beyond in (mark, f"{mark} {mark}"):
+        rows = "".join(line + beyond + "\n" for line in own.splitlines())
+        for text in (rows, own.replace("0\n", f"0{beyond}\n")):
+            found = read_measurements(written(tmp_path, text, "b.csv"), PLANT)
+            assert np.array_equal(found.y, same.y, equal_nan=True)
+            assert found.u.tolist() == same.u.tolist()
+    with pytest.raises(FileFormatError, match="line 2 has 5 cells, expected 4"):
+        read_measurements(written(tmp_path, own.replace("0\n", f"0{mark}1\n"), "b.csv"), PLANT)
 
 
 def test_more_mistakes(tmp_path):

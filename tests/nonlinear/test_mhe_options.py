@@ -1,6 +1,7 @@
 """What the nonlinear estimator does beyond the paper's scheme: grids, weights, limits, inputs, outliers."""
 
 import pickle
+import re
 import warnings
 
 import casadi
@@ -218,6 +219,14 @@ def test_inputs_may_run_straight_between_the_times_they_are_given():
     found = scheme.run((t, x[:1], row) for t, x, row in zip(times, truth, u, strict=True))
     assert found.x == pytest.approx(truth, abs=1e-6)
     assert found.cost[-1] == pytest.approx(0.0, abs=1e-12)
+    assert not any("Assumes" in each.note for each in found)
+    assumed = r"Assumes that the input has kept its value since t = 2, when it was last given\."
+    late = scheme.predict(3.0)  # the input may have gone anywhere by then: it is said what the state is of
+    assert re.search(assumed, late.note)
+    assert late.x == pytest.approx([4.0, 2.0], abs=1e-6)
+    assert re.search(assumed, scheme.update(3.0, [4.0]).note)
+    assert "Assumes" not in scheme.update(4.0, [6.0], [0.0]).note
+    assert "Assumes" not in scheme.predict(3.5).note
     held = NonlinearMovingHorizonEstimator(pushed, horizon=5.0, collocation=Collocation(0.5, 3))
     assert held.run((t, x[:1], row) for t, x, row in zip(times, truth, u, strict=True)).cost[-1] > 1e-3
     with pytest.raises(ArgumentError, match='`input_between` must be "held" or "linear"'):

@@ -12,8 +12,9 @@ from typing import Protocol, TypeGuard, runtime_checkable
 import numpy as np
 
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.records.measurement_table import STAMPS, MeasuredPlant
+from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.records import checks, file_io
+from sampling_design.records.file_io import STAMPS
 from sampling_design.records.units import SECONDS
 
 

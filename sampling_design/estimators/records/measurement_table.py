@@ -17,15 +17,13 @@ from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.dates import UnmixedDates, date_after, time_zone, unambiguous, zoned_date, zoned_text
 from sampling_design.records.declarations import moment
-from sampling_design.records.file_io import row_name
+from sampling_design.records.file_io import MISSING, SINCE, STAMPS, UNTIL, row_name
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.files import MARK, in_file
 
 Numbered = tuple[int, str]
 
-STAMPS = ("time", "date")  # names of the column that says when a row was measured
-SINCE = "_since"  # ending of the column that says where a composite sample of an output began
-UNTIL = "_until"  # ending of the column that says until when a row may have been measured
+DATE_SLIP = "Write 2026-03-16 08:00: year, month, day; where a zone is known, its offset behind it: +01:00."
 LIMITS = {"<": "<", "≤": "<", ">": ">", "≥": ">"}  # signs before a limit of detection, and what they say
 BLOCK = 4096  # lines that are held as text at a time; what they say is held as numbers
 _MANY = -1  # stands for the line where the dates of many rows are read at once
@@ -70,6 +68,8 @@ def read_table(
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
     mark = file_io.separator(first[1])
     ((_, found),) = file_io.csv_rows([first], where)
+    while found and not found[-1]:  # spreadsheets end every line with the separators of empty columns
+        found.pop()
     own = {*plant.outputs.names, *plant.inputs.names}
     header = [name.lower() if name.lower() in STAMPS and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
@@ -190,15 +190,20 @@ class MeasurementTable:
             self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
             self.censored += [tuple(censored.get(row, ())) for row in np.flatnonzero(kept).tolist()]
             return
-        for number, cells in file_io.csv_rows(lines, self.where, self.mark):
+        for number, row in file_io.csv_rows(lines, self.where, self.mark):
+            cells = self._own(row)
             if len(cells) != len(self.header):
                 slip = " Decimals have a point." if self.mark == "," and len(cells) > len(self.header) else ""
-                row, expected = row_name(self.where, number), len(self.header)
-                came = f"{self.where}: {row}"
-                raise FileFormatError(f"{came} has {len(cells)} cells, expected {expected}.{slip}", self.where)
+                came = f"{self.where}: {row_name(self.where, number)} has {len(cells)} cells"
+                raise FileFormatError(f"{came}, expected {len(self.header)}.{slip}", self.where)
             cell = dict(zip(self.header, cells, strict=True))
             self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()
+
+    def _own(self, cells: list[str]) -> list[str]:
+        """The cells of a row, without empty ones beyond the last column."""
+        own = len(self.header)
+        return cells[:own] if len(cells) > own and not any(map(str.strip, cells[own:])) else cells
 
     def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array, dict[int, list[CensoredReading]]] | None:
         """Times, outputs, inputs and, by row, readings beyond limits of rows in order of time; None for any other rows.
@@ -208,7 +213,7 @@ class MeasurementTable:
         texts = [line for _, line in lines]
         if any('"' in text or len(text) > LONGEST_LINE for text in texts):
             return None
-        rows = [text.split(self.mark) for text in texts]
+        rows = [self._own(text.split(self.mark)) for text in texts]
         if any(len(row) != len(self.header) for row in rows):
             return None
         columns = dict(zip(self.header, zip(*rows, strict=True), strict=True))
@@ -234,6 +239,8 @@ class MeasurementTable:
             if cell[:1] in LIMITS:
                 limits[row], plain[row] = _limit(cell)
         numbers = self._column(plain)
+        if numbers is None:
+            numbers = self._column(plain := ["" if cell.lower() in MISSING else cell for cell in plain])
         if numbers is None or not limits:
             return numbers
         values = numbers[list(limits)].tolist()
@@ -385,6 +392,9 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
         slip = f" Is it {near!r}? Names stand as in the plant, without units." if near else NOT_READ
         text = f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.{slip}"
         raise FileFormatError(text, where)
+    if "" in header:
+        at = header.index("") + 1
+        raise FileFormatError(f"{where}: column {at} has no name in the header. Name it, or take it out.", where)
     twice = [name for i, name in enumerate(header) if name in header[:i]]
     if twice:
         raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)
@@ -400,10 +410,13 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
 
 
 def _limit(cell: str) -> tuple[str, str]:
-    """The limit that a cell states, "<", ">" or none, and what stands behind its sign.
+    """The limit that a cell states, "<", ">" or none, and what stands behind its sign: nothing where it is blank.
 
-    "<0.5" and "<=0.5" say the same: what is possible is a closed set.
+    "<0.5" and "<=0.5" say the same: what is possible is a closed set. "NA" says that an output was not measured; an
+    input would keep its value then, which nobody said.
     """
+    if cell.lower() in MISSING:
+        return "", ""
     sign = LIMITS.get(cell[:1], "")
     number = cell[1:].removeprefix("=" if cell[:1] == sign else "") if sign else cell
     return sign, number.strip()
@@ -419,7 +432,7 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
         hint = " Leave the cell empty if nothing was measured." if blank else ""
         if name == "time" and _is_date(cell):
             hint = " Dates stand in a column named date."
-        hint = file_io.number_slip(cell) or hint
+        hint = file_io.number_slip(cell, where) or hint
         raise FileFormatError(f"{where}: {name} in {row_name(where, line)} is not a number: {cell!r:.60}.{hint}", where)
     return value
 
@@ -444,10 +457,9 @@ def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> date
         raise FileFormatError(f"{where}: the date {_place(where, line)} names no instant: {error}", where) from None
     except ValueError:
         at = _place(where, line)
-        slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
         if not cell:
             raise FileFormatError(f"{where}: the date {at} is missing.", where) from None
-        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.{slip}", where) from None
+        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}. {DATE_SLIP}", where) from None
     return date.replace(tzinfo=zone) if date.tzinfo is None else date
 
 

@@ -18,9 +18,6 @@ from sampling_design.checkers.strict import is_list, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series, is_frame, lines_of
 from sampling_design.estimators.records.measurement_table import (
-    SINCE,
-    STAMPS,
-    UNTIL,
     MeasuredPlant,
     date_of,
     dates_of,
@@ -34,6 +31,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.dates import date_in, parse_date, passed, zoned_text
 from sampling_design.records.declarations import Column
+from sampling_design.records.file_io import SINCE, STAMPS, UNTIL
 from sampling_design.records.record import ListRecord, counted, moment
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS

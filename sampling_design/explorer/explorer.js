@@ -7,7 +7,7 @@ const LEFT = 125, RIGHT = 14, ROW = 46, CHART = 150;
 const STYLE = `
 .sd { font: 15px/1.45 system-ui, "Helvetica Neue", Arial, sans-serif; color: #1b1b1b; background: #fff; max-width: 900px; padding: 12px; }
 .sd h1 { font-size: 20px; margin: 0 0 2px; } .sd p { margin: 4px 0; }
-.sd svg { width: 100%; height: auto; display: block; touch-action: none; user-select: none; }
+.sd svg { width: 100%; height: auto; display: block; user-select: none; } .sd .line { touch-action: pan-y; }
 .sd text { font: 12px system-ui, Arial, sans-serif; fill: #1b1b1b; } .sd .soft { fill: #595959; }
 .sd button { font: inherit; margin: 6px 6px 6px 0; padding: 5px 14px; border: 1px solid #1f5fa8; border-radius: 6px; background: #fff; color: #1f5fa8; cursor: pointer; }
 .sd button:hover, .sd button:focus-visible { background: #1f5fa8; color: #fff; } .sd button:disabled { opacity: 0.5; cursor: wait; }
@@ -62,7 +62,7 @@ export async function mount(element, ask) {
   html("style", {}, root, STYLE);
   html("h1", {}, root, opened.name);
   if (opened.words) html("p", { class: "words" }, root, opened.words);
-  const line = node("svg", { role: "group", "aria-label": "samples of one period" }, root);
+  const line = node("svg", { class: "line", role: "group", "aria-label": "samples of one period" }, root);
   const messages = html("p", { class: "messages", role: "status", "aria-live": "polite" }, root);
   const repair = html("p", { class: "repair", role: "status" }, root);
   const chart = node("svg", { class: "sigma", role: "img", "aria-label": "sigma over the window's position" }, root);
@@ -188,12 +188,12 @@ export async function mount(element, ask) {
     const move = (e) => { dragged = true; marks[own].t = time(e); live(); place(own); };
     const drop = () => {
       window.removeEventListener("pointermove", move);
-      window.removeEventListener("pointerup", drop);
+      for (const end of ["pointerup", "pointercancel"]) window.removeEventListener(end, drop);
       if (dragged) settled();
       setTimeout(() => (dragged = false), 0);
     };
     window.addEventListener("pointermove", move);
-    window.addEventListener("pointerup", drop);
+    for (const end of ["pointerup", "pointercancel"]) window.addEventListener(end, drop);
   }
 
   function remove(m, k) {

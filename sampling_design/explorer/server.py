@@ -131,13 +131,14 @@ PAGE = """<!doctype html>
 <script type="module" nonce="{nonce}">
 import {{ mount }} from "/explorer.js?token={token}";
 /* Questions go through one open socket, and answers come back in their order; by POST where it is not open. */
+const ENDED = "the explorer on this machine has ended; start the command again";
 let socket = null;
 const waiting = [];
 function connect() {{
   socket = new WebSocket(`ws://${{location.host}}/ask?token={token}`);
   socket.onmessage = (message) => waiting.shift()[0](JSON.parse(message.data));
   socket.onclose = () => {{
-    for (const [, failed] of waiting.splice(0)) failed(new Error("the explorer on this machine has ended"));
+    for (const [, failed] of waiting.splice(0)) failed(new Error(ENDED));
     socket = null;
   }};
 }}
@@ -146,7 +147,7 @@ async function post(text) {{
     method: "POST",
     headers: {{ "Content-Type": "application/json", "X-Token": "{token}" }},
     body: text,
-  }});
+  }}).catch(() => {{ throw new Error(ENDED); }});
   if (!answer.ok) throw new Error(`the explorer on this machine says ${{answer.status}}`);
   return answer.json();
 }}

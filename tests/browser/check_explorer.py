@@ -2,6 +2,8 @@
 
 import re
 import statistics
+import subprocess
+import sys
 import threading
 import time
 
@@ -262,6 +264,51 @@ def test_a_phone_shows_all_of_it(explorer, page, shot):
     )
     assert page.evaluate(wide)
     shot(page, "phone-explorer")
+
+
+def test_a_finger_drags_a_sample_and_scrolls_by_all_else(explorer, chromium):
+    """Where charts fill a small page, one that took every touch for its own would hold the page still."""
+    context = chromium.new_context(viewport={"width": 390, "height": 600}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    visit(page, explorer(scene("laboratory")))
+    page.wait_for_selector(".accuracy path")
+    hand = context.new_cdp_session(page)
+
+    def swipe(x, y, right, down):
+        def touch(kind, *at):
+            hand.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [*at]})
+
+        touch("touchStart", {"x": x, "y": y})
+        for k in range(1, 11):
+            touch("touchMove", {"x": x + right * k / 10, "y": y + down * k / 10})
+            page.wait_for_timeout(30)
+        touch("touchEnd")
+        page.wait_for_timeout(300)
+
+    def place():
+        return page.locator(".mark").first.get_attribute("aria-valuenow")
+
+    before, box = place(), page.locator(".mark circle").first.bounding_box()
+    swipe(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 40, 0)
+    assert place() != before
+    moved = page.locator(".mark circle").first.bounding_box()["x"] - box["x"]
+    assert moved == pytest.approx(40, abs=3)  # all the way, and not until the page takes the finger for its own
+    assert page.evaluate("window.scrollY") == 0
+    box, before = page.locator(".sigma").bounding_box(), place()
+    swipe(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0, -200)
+    assert page.evaluate("window.scrollY") > 100
+    assert place() == before
+    context.close()
+
+
+def test_a_page_whose_command_has_ended_says_so(page):
+    words = [sys.executable, "-m", "sampling_design", "explore", "--scene", "pathological", "--no-browser"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as command:
+        visit(page, re.search(r"http://\S+", command.stdout.readline())[0])
+        command.terminate()
+    for _ in range(2):  # by the socket that has just closed, then by post
+        page.get_by_role("button", name="Certify").click()
+        until(page, "document.querySelector('.said').textContent.includes('has ended; start the command again')")
 
 
 def test_the_page_is_ready_and_follows_quickly(explorer, page):

@@ -16,6 +16,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sampled_system import SampledSystem
+from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram, StageSolution
@@ -58,11 +59,21 @@ def boxed(system: SampledSystem, nodes: list[int]) -> bool:
 
 
 class ConeWindow:
-    """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them."""
+    """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them.
 
-    def __init__(self, system: SampledSystem, nodes: list[int], start: InitialSet, tolerance: float = TOLERANCE):
+    `lasting`: adversaries begin as what has gone on for ever, with which those bounds agree.
+    """
+
+    def __init__(
+        self,
+        system: SampledSystem,
+        nodes: list[int],
+        start: InitialSet,
+        tolerance: float = TOLERANCE,
+        lasting: LastingResponses | None = None,
+    ):
         self.system, self.nodes, self.start = system, nodes, start
-        self._tolerance = tolerance
+        self._tolerance, self._lasting = tolerance, lasting
         self._stages = self._staged()
         self._built = False
         if self._stages is None:
@@ -72,7 +83,7 @@ class ConeWindow:
         """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
         system, start = self.system, self.start
         gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
-        if not boxed(system, self.nodes) or not gaps:
+        if not boxed(system, self.nodes) or not gaps or self._lasting is not None:
             return None
         fits, S = start.staged()
         if not fits:
@@ -88,22 +99,30 @@ class ConeWindow:
         gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
         B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
         self._w_at = K * n + np.concatenate([[0], np.cumsum([own.shape[1] for own in B])]).astype(int)
-        table = ConeTable(int(self._w_at[-1]))
+        before, lasting = int(self._w_at[-1]), self._lasting
+        table = ConeTable(before + (0 if lasting is None else lasting.columns))
         F = np.array([gap.F for gap in gaps]).reshape(-1, n, n)
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, K * n)
         self._exact_at = [table.add(np.zeros(int(s.exact.sum())), (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
+        if lasting is not None:
+            lasting.begin(table, before, np.linalg.inv(system.D[:, None] * system.L[self.nodes[0]]))
         table.end("zero")
-        self.start.pose(table, ball=False)
+        if lasting is None:
+            self.start.pose(table, ball=False)
         noisy = [(k * n, s.H[~s.exact]) for k, s in enumerate(samples)]
         each = [(at, H, system.bounds.v_ball and len(H) > 1) for at, H in noisy]
         self._box_at = [-1 if r else table.box(at, H, np.ones(len(H))) for at, H, r in each]
         if not system.bounds.w_ball:
-            table.unit_box(K * n, table.columns - K * n)
+            table.unit_box(K * n, before - K * n)
         table.end("nonnegative")
         self._ball_at = [table.ball(at, H) if r else -1 for at, H, r in each]
-        self.start.pose(table, ball=True)
+        if lasting is None:
+            self.start.pose(table, ball=True)
+        else:
+            lasting.pose(table, before)
         if system.bounds.w_ball and q:
-            table.unit_balls(K * n, q, (table.columns - K * n) // q)
+            table.unit_balls(K * n, q, (before - K * n) // q)
+        self._columns = table.columns
         self._b, self._solver = table.b(), ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance)
 
     def _solved(self, mu: Array, enough: float = 0.0) -> StageSolution:
@@ -122,7 +141,7 @@ class ConeWindow:
     def _coned(self, mu: Array, size: float) -> StageSolution:
         """What the general solver finds."""
         n, K = mu.size, len(self.nodes)
-        cost = np.zeros(int(self._w_at[-1]))
+        cost = np.zeros(self._columns)
         cost[(K - 1) * n : K * n] = -mu
         x, y, status = self._solver.solve(cost, self._b)
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):

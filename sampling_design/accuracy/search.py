@@ -88,7 +88,7 @@ class GainSearch:
         budget: Budget = ENDLESS,
     ):
         self.system, self._tell, self.budget = system, solved, budget
-        self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
+        self._windows: dict[tuple[int, int, bool, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
         self.solves = 0
@@ -96,7 +96,13 @@ class GainSearch:
         """Depths that twice as many samples did not improve on."""
         self.directions = directions
         self.adversaries: list[list[Adversary]] = [[] for _ in range(len(system.samples))]
-        self._long = system.start is None and system.memory > LASTING and boxed(system, list(range(len(system))))
+        undriven = system.lasting is not None and system.lasting.undriven
+        self._long = (
+            system.start is None
+            and not undriven
+            and system.memory > LASTING
+            and boxed(system, list(range(len(system))))
+        )
         if self._long:
             self.deep, self.back = system.memory, system.memory // 2
 
@@ -138,13 +144,15 @@ class GainSearch:
         known = self.system.reach[nodes[0]] if self.system.start is None else self.directions[nodes[0]].reach
         return nodes, InitialSet.box(known)
 
-    def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
+    def window(
+        self, j: int, count: int, from_zero: bool, rough: bool = True, lasting: bool = False
+    ) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
-        key = (j, count, from_zero, rough)
+        key = (j, count, from_zero, rough, lasting)
         if key not in self._windows:
-            self._windows[key] = ConeWindow(
-                self._coarse if rough else self.system, *self.past(j, count, from_zero), tolerance=TOLERANCE
-            )
+            system = self._coarse if rough else self.system
+            begun = system.lasting if lasting else None
+            self._windows[key] = ConeWindow(system, *self.past(j, count, from_zero), TOLERANCE, begun)
         return self._windows[key]
 
     def gains(self, j: int, mu: Array, enough: float = 0.0) -> Gains:
@@ -163,11 +171,11 @@ class GainSearch:
         self.solves += 1
         self._tell()
         lasting = self.system.lasting
-        from_rest = lasting is None or bool(self.system.G.any())
-        gains, adversary = self.window(j, self.deep, from_rest, rough).both(mu)
-        if from_rest and lasting is not None and (adversary.value <= 0 or lasting.undriven):
+        from_rest = lasting is None or (bool(self.system.G.any()) and not lasting.undriven)
+        gains, adversary = self.window(j, self.deep, from_rest, rough, not from_rest).both(mu)
+        if from_rest and lasting is not None and adversary.value <= 0:
             from_rest = False
-            gains, begun = self.window(j, self.deep, False, rough).both(mu)
+            gains, begun = self.window(j, self.deep, False, rough, True).both(mu)
             adversary = max(adversary, begun, key=lambda one: one.value)
         if not from_rest and lasting is not None:
             adversary = max(adversary, self._for_ever(j, mu, lasting), key=lambda one: one.value)
@@ -220,7 +228,8 @@ class GainSearch:
 
     def _longer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether gains of more samples do."""
-        if 2 * self.back > self.deep:
+        lasting = self.system.lasting
+        if 2 * self.back > (self.deep if lasting is None or not lasting.undriven else FADING):
             return False
         self.back *= 2
         if self.gains(j, mu).value < best * (1 - rtol / 8):

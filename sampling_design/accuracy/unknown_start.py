@@ -16,6 +16,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.undetectable import unobservable_directions
+from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -110,6 +111,40 @@ class LastingResponses:
         if found.x is None:  # sizes too far apart for a solver: any state will do, and rest is one
             return np.zeros(row.size)
         return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
+
+    @property
+    def columns(self) -> int:
+        """How many variables of a program stand for a response."""
+        return 3 * self.modes.shape[1]
+
+    def _units(self) -> tuple[Array, Mask]:
+        """(m,) the most that outputs and w show of each, and which are bounded by it at all."""
+        largest = np.vstack([self.output_sizes, self.w_sizes]).max(axis=0, initial=0.0)
+        usable = np.isfinite(largest) & (largest > 0)
+        return np.where(usable, largest, 1.0), usable
+
+    def begin(self, table: ConeTable, at: int, change: Array) -> None:
+        """Let the first variables of a program, z = change x, be the state of a response whose variables begin at `at`.
+
+        These are sizes, real parts and imaginary parts of the shares.
+        """
+        units, usable = self._units()
+        X = change * self.scale @ np.where(usable, self.modes / units, 0.0)
+        n, m = X.shape
+        table.add(np.zeros(n), (0, np.eye(n)), (at + m, np.hstack([-X.real, X.imag])))
+
+    def pose(self, table: ConeTable, at: int) -> None:
+        """Let the shares be no larger than their sizes, and these within the bounds at all times before."""
+        units, usable = self._units()
+        m = units.size
+        for k in range(m):
+            table.put(np.arange(3), at + k + m * np.arange(3), -np.ones(3))
+            table.more(np.zeros(3))
+            table.end("second order")
+        for sizes, ball in ((self.output_sizes, self.v_ball), (self.w_sizes, self.w_ball)):
+            rows = np.where(usable, sizes, 0.0) / units
+            for part in [rows] if ball else rows[:, None]:
+                table.ball(at, part)
 
     def excess(self, x: Array) -> float:
         """By which factor that through x may exceed the bounds at any time before; infinite if none is."""

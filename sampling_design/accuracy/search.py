@@ -227,14 +227,13 @@ class GainSearch:
         return False
 
     def _longer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
-        """Whether gains of more samples do."""
-        lasting = self.system.lasting
-        if 2 * self.back > (self.deep if lasting is None or not lasting.undriven else FADING):
-            return False
-        self.back *= 2
-        if self.gains(j, mu).value < best * (1 - rtol / 8):
-            return True
-        self.back //= 2
+        """Whether gains of more samples do; what nothing drives may need all that its filter remembers."""
+        undriven = self.system.lasting is not None and self.system.lasting.undriven
+        back, most = self.back, (LONGEST if below > 0 else FADING) if undriven else self.deep
+        for self.back in sorted({2 * back, min(self.system.memory, FADING)} if undriven else {2 * back}):
+            if back < self.back <= most and self.gains(j, mu).value < best * (1 - rtol / 8):
+                return True
+        self.back = back
         return False
 
     def _finer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:

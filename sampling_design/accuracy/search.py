@@ -144,9 +144,7 @@ class GainSearch:
         known = self.system.reach[nodes[0]] if self.system.start is None else self.directions[nodes[0]].reach
         return nodes, InitialSet.box(known)
 
-    def window(
-        self, j: int, count: int, from_zero: bool, rough: bool = True, lasting: bool = False
-    ) -> ConeWindow:
+    def window(self, j: int, count: int, from_zero: bool, rough: bool = True, lasting: bool = False) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
         key = (j, count, from_zero, rough, lasting)
         if key not in self._windows:
@@ -230,9 +228,11 @@ class GainSearch:
         """Whether gains of more samples do; what nothing drives may need all that its filter remembers."""
         undriven = self.system.lasting is not None and self.system.lasting.undriven
         back, most = self.back, (LONGEST if below > 0 else FADING) if undriven else self.deep
-        for self.back in sorted({2 * back, min(self.system.memory, FADING)} if undriven else {2 * back}):
-            if back < self.back <= most and self.gains(j, mu).value < best * (1 - rtol / 8):
-                return True
+        for longer in sorted({2 * back, min(self.system.memory, FADING)} if undriven else {2 * back}):
+            if back < longer <= most:
+                self.back = longer
+                if self.gains(j, mu).value < best * (1 - rtol / 8):
+                    return True
         self.back = back
         return False
 

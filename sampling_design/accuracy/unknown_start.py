@@ -115,7 +115,7 @@ class LastingResponses:
     @property
     def columns(self) -> int:
         """How many variables of a program stand for a response."""
-        return 3 * self.modes.shape[1]
+        return 3 * int(self.modes.shape[1])
 
     def _units(self) -> tuple[Array, Mask]:
         """(m,) the most that outputs and w show of each, and which are bounded by it at all."""

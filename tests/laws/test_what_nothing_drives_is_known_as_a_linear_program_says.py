@@ -5,11 +5,12 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.accuracy.search import GainSearch
 from tests.cases import few
-from tests.oracles.accuracy import undriven
+from tests.oracles.accuracy import adversary, flown, undriven
 
 PLANTS = {
     "level": ([[0.0]], [1.0]),
@@ -124,3 +125,32 @@ def test_an_exact_sensor_is_the_limit_of_a_nearly_exact_one(name, unit):
         assert found.upper[0] <= 1.02 * above + 2e-3 or not above
         below, above = float(found.lower[0]), float(found.upper[0])
         assert 0 < below <= above
+
+
+COUPLED = {
+    "level": ([[0.09, -1.3], [0.0, 0.0]], [1.1, 0.4], 0.05),
+    "growing": ([[-0.15, 0.9], [0.0, 0.43]], [0.8, -1.1], 0.05),
+    "two": ([[-1.2, 0.5, 0.7], [0.0, 0.26, 0.0], [0.0, 0.0, 0.12]], [0.6, 1.0, -0.7], 0.05),
+    "oscillator": ([[0.19, 0.98, 0.4], [0.0, 0.0, 1.76], [0.0, -1.76, 0.0]], [0.9, -0.5, 0.3], 1.0),
+}
+
+
+@pytest.mark.parametrize(("name", "unit"), few(product(COUPLED, [1.0, 1e9]), 0))
+def test_what_is_driven_beside_it_hides_it_as_long_as_it_can(name, unit):
+    """The adversary is the best of all that went on for ever and then turned: no other leaves more open."""
+    A, c, noise = COUPLED[name]
+    gaps, sizes = np.array([0.5, 0.8]), np.where(np.arange(len(A)) % 2, unit, 1 / unit)
+    G = np.eye(len(A))[:, :1]
+    plant = sd.Plant(np.array(A) * sizes[:, None] / sizes, [c / sizes], G=sizes[:, None] * G)
+    schedule = sd.PeriodicSchedule(gaps)
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=noise, of="x1", rtol=0.1)
+    t, turns = float(found.worst[0]), np.arange(20, -3, -1)
+    past = (schedule.times - schedule.period * turns[:, None]).ravel()
+    past = past[past < t - 1e-9][-20:]
+    later, row = t - float(past[-1]), np.eye(len(A))[0]
+    most, _, _ = adversary(A, [c], G, past, row @ expm(np.array(A) * later), 0.1, noise, 4)
+    most += flown(A, G, row, later, 0.1)
+    assert 0.93 * most <= found.lower[0] / sizes[0] <= most * 1.01
+    assert found.upper[0] / sizes[0] >= 0.97 * most  # of so many samples, where for ever is meant
+    assert found.closed.all()
+    assert found.verify()

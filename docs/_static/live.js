@@ -226,7 +226,7 @@
     const code = make("textarea", "", { "aria-label": `Code of ${name}`, autocapitalize: "off", autocomplete: "off" });
     code.spellcheck = false;
     code.value = kept[original] ?? original;
-    const output = node.querySelector(".cell_output") || node.appendChild(make("div", "", { class: "cell_output" }));
+    const output = node.querySelector(".cell_output") || node.appendChild(make("div", "", { class: "cell_output docutils container" }));
     output.setAttribute("aria-live", "polite");
     const count = make("span", "", { class: "live-count" });
     const back = button("Undo changes", () => (edit(original), code.focus()), `Undo changes of ${name}`);
@@ -335,7 +335,7 @@
     const nodes = [...document.querySelectorAll("article div.cell")].filter((each) => each.querySelector(".cell_input pre"));
     if (!nodes.length) return say("Open a lecture: its cells can be changed and run.");
     const own = make("div", "", { class: "cell" });
-    own.innerHTML = '<div class="cell_input"><div class="highlight"><pre></pre></div></div>';
+    own.innerHTML = '<div class="cell_input docutils container"><div class="highlight"><pre></pre></div></div>';
     const exercises = document.querySelector("#exercises");
     if (exercises) exercises.append(own), nodes.push(own);
     nodes.sort((a, b) => (a.compareDocumentPosition(b) & Node.DOCUMENT_POSITION_FOLLOWING ? -1 : 1));

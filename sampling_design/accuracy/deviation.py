@@ -215,11 +215,14 @@ class _DeviationCurves:
             step, noise = np.linalg.solve(following, F @ L), np.linalg.solve(following, W)
             noise = np.linalg.solve(following, noise.T)
             maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
-        P = strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK)
         outputs = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
         rooted = RootedPeriod([m.F for m in maps], outputs, [covariance_root(m.Q) for m in maps])
-        root = psd_root(P)
-        roots = rooted(root)[0] if rooted.gives_back(root) else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
+        try:
+            root = psd_root(strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK))
+            followed = rooted.gives_back(root)
+        except np.linalg.LinAlgError:  # as where accuracies are doubled
+            followed = False
+        roots = rooted(root)[0] if followed else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
 
     def _finite(self, rows: list[Array]) -> list[Array]:

@@ -165,6 +165,16 @@ def test_where_doubling_meets_a_singular_matrix_roots_go_on(growth, monkeypatch)
     assert found.worst == pytest.approx(in_many_digits(growth), rel=1e-5)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.2, 0.5, 1.0, 1.5])
+def test_turned_states_hide_no_growing_mode_that_nothing_drives(angle):
+    """Doubled, its rounding outgrows what it is added to: the answer is that of the modes themselves."""
+    T = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    plant = sd.Plant(T @ np.diag([0.45, -0.01]) @ T.T, np.array([[1.0, 0.5]]) @ T.T, G=T @ [[0.0], [1.0]])
+    sizes = {"w_intensity": 0.1, "v_deviation": 0.3, "of": np.array([[1.0, 1.0]]) @ T.T}
+    found = deviation.standard_deviation(plant, sd.PeriodicSchedule([0.7, 0.4]), **sizes)
+    assert found.worst[0] == pytest.approx(0.4215882593547856, rel=1e-8)
+
+
 def test_gaps_whose_quadrature_overflows_are_undecided():
     with pytest.raises(UndecidedError, match="grows so far between the samples"):
         sampled_system.make_gap(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -385,7 +385,7 @@ def chosen(
             try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
                 return [precisely_chosen(problem, plain, between, eta, gain, first.total) for gain, first in asked]
             except UndecidedError:
-                return _without_gain(problem, canon, bounds, eta, gains, error)
+                return _without_gain(problem, canon, bounds, eta, gains, error, lambda: limit.over)
 
 
 def driven(plant: Plant, schedule: AnySchedule, weights: NoiseWeights) -> tuple[Plant, AnySchedule, NoiseWeights]:
@@ -401,13 +401,9 @@ def driven(plant: Plant, schedule: AnySchedule, weights: NoiseWeights) -> tuple[
 
 
 def _without_gain(
-    problem: tuple[Plant, AnySchedule, NoiseWeights],
-    canon: ScaledProblem,
-    bounds: tuple[float, float],
-    eta: float | None,
-    gains: list[float],
-    error: UndecidedError,
-) -> list[Certificate]:
+    problem: tuple[Plant, AnySchedule, NoiseWeights], canon: ScaledProblem, bounds: tuple[float, float],
+    eta: float | None, gains: list[float], error: UndecidedError, over: Callable[[], bool],
+) -> list[Certificate]:  # fmt: skip
     """What the plant's own decay proves without the noise gain that was asked for, which the certificate says.
 
     Raises UndecidedError, the `error`, where it proves nothing.
@@ -416,12 +412,12 @@ def _without_gain(
     if not own > 0:
         raise error from None
     slower = bounds if eta is not None else (min(bounds[0], own / 2), bounds[1])
-    choice = own_decay(canon, slower, [np.inf], WorkLimit(SEARCH_WORK))[0]
+    choice = own_decay(canon, slower, [np.inf], WorkLimit(SEARCH_WORK, stop=over))[0]
     if choice is None:
         raise error from None
     gain = float(np.exp(-WeightSearch(canon).setting(choice.eta).least(choice.P2)))
     try:
-        made = _first_proven(problem, canon, [choice], eta, gain, SearchEffort())
+        made = _first_proven(problem, canon, [choice], eta, gain, SearchEffort(WorkLimit(ALL_WORK, stop=over)))
     except UndecidedError:
         raise error from None
     notes = [f"{WITHOUT_GAIN} {asked:g}: {gain:.3g}, for none was proven with {asked:g}" for asked in gains]

@@ -7,7 +7,7 @@ stated margin. The solver is not loaded before the first problem is posed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
@@ -34,16 +34,26 @@ multipliers, which are exact to many more digits, then prove all but that much."
 THREADS = 1
 """Of the solver: more of them wait busily for each other, for up to twice the work, and change no bit of a point."""
 
-SOLVED, INACCURATE, INFEASIBLE, UNBOUNDED, BUDGET, FAILED = (
+SOLVED, INACCURATE, INFEASIBLE, UNBOUNDED, BUDGET, FAILED, TOO_LARGE, NO_TIME = (
     "solved",
     "inaccurate",
     "infeasible",
     "unbounded",
     "budget",
     "failed",
+    "too large",
+    "no time",
 )
 USABLE = (SOLVED, INACCURATE, BUDGET)
 """Statuses after which there may be a point worth checking."""
+
+MOST_NUMBERS = 1.2e7
+"""Numbers in the scalings of the semidefinite cones beyond which a program is not posed: the solver
+takes 70 to 100 bytes for each, a gigabyte here, and would take all that a machine has where states double."""
+SETTING_UP = 1.2e-7
+"""Seconds for each of them before the solver looks at its time limit: a program that needs all that is left for it
+would end without a point."""
+LEAST_SET_UP = 0.05  # seconds of it that any program may take, whatever is left
 
 
 def clarabel() -> ModuleType:
@@ -106,6 +116,19 @@ def _triangle(n: int) -> tuple[Index, Index, Array]:
     """Rows, columns (i <= j, column after column) and scale, 1 on the diagonal and sqrt(2) off it."""
     columns, rows = np.tril_indices(n)
     return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
+
+
+def too_large(sizes: Iterable[int], budget: float | None = None) -> SolverRecord | None:
+    """The record of a program that is not posed, by the sizes m = n(n+1)/2 of its semidefinite cones: m^2 numbers each.
+
+    None where the solver's memory holds it, and the seconds that are left hold what comes before its first step.
+    """
+    numbers = float(sum(size**2 for size in sizes))
+    if numbers <= MOST_NUMBERS and (budget is None or SETTING_UP * numbers <= max(budget, LEAST_SET_UP)):
+        return None
+    return SolverRecord(
+        "Clarabel", status=TOO_LARGE if numbers > MOST_NUMBERS else NO_TIME, details={"numbers": numbers}
+    )
 
 
 def solve_cone_program(

@@ -56,7 +56,8 @@ class SearchEffort:
         self.total = WorkLimit(ALL_WORK) if total is None else total
         self.whole = self.total if alone else self.total.share(PARTS[balls is not None] * self.total.left)
         self.of_one_check = (CHECK_WORK, BALL_WORK) if alone else (ONE_CHECK, ONE_IN_BALLS)
-        self.looks, self.floats = WorkLimit(2 * share * LOOK_WORK), WorkLimit(share * CHECK_WORK, self.whole)
+        self.looks = WorkLimit(2 * share * LOOK_WORK, stop=self.total.stop)
+        self.floats = WorkLimit(share * CHECK_WORK, self.whole)
         self.balls = WorkLimit(BALL_WORK if balls is None else balls, self.whole, BALL_PRICE)
 
     def later(self) -> SearchEffort:

@@ -99,6 +99,11 @@ class WeightSearch:
         self.work = WorkLimit(SEARCH_WORK) if work is None else work
         self.interrupted = False
 
+    @property
+    def late(self) -> bool:
+        """Whether the seconds that were given are over, whatever work is left: then one shape will do."""
+        return self.work.stop is not None and self.work.stop()
+
     @contextmanager
     def ended_by_interrupt(self, met: list[ChosenWeights]) -> Iterator[None]:
         """After an interrupt the search ends with what it has met; it is on its way where that is nothing."""
@@ -160,11 +165,16 @@ class WeightSearch:
 
     def best_guess(self, eta: float, budget: float) -> ChosenWeights | None:
         """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""
+        choices: list[ChosenWeights] = []
         try:
-            choices = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
+            for shape in self.guesses(eta):
+                if choices and self.late:
+                    break
+                choice = self.judged(shape, eta, budget, width=COARSE)
+                choices += [] if choice is None else [choice]
         except (SolverError, np.linalg.LinAlgError):
             return None
-        return min((choice for choice in choices if choice is not None), key=attrgetter("value"), default=None)
+        return min(choices, key=attrgetter("value"), default=None)
 
     def judged(
         self, shape: Array, eta: float, budget: float, like: ChosenWeights | None = None, width: float = EXACT
@@ -404,7 +414,7 @@ def _descend_at_others(
 
 def _guesses_at_other_rates(search: WeightSearch, guesses: list[ChosenWeights], budget: float) -> list[ChosenWeights]:
     """The guesses at other rates, scaled to the budget: those of moderate lambda first, then by their horizons."""
-    choices = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
+    choices = [None if search.late else search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
     spare = [replace(choice, spare=True) for choice in choices if choice is not None]
     return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
 
@@ -425,9 +435,14 @@ def round_choices(
 
 def _ordered(search: WeightSearch, shapes: list[tuple[float, ChosenWeights]], budget: float) -> list[ChosenWeights]:
     """The shapes of references up to the budget, each scaled to it, the best first, and none twice."""
-    scaled = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
+    scaled: list[ChosenWeights] = []
+    for choice in (choice for least, choice in shapes if least <= budget):
+        if scaled and search.late:
+            break
+        made = search.judged(choice.P2, choice.eta, budget, choice)
+        scaled += [] if made is None else [made]
     distinct: list[ChosenWeights] = []
-    for choice in sorted((choice for choice in scaled if choice is not None), key=attrgetter("value")):
+    for choice in sorted(scaled, key=attrgetter("value")):
         distinct += [] if any(_same_choice(choice, other) for other in distinct) else [choice]
     return distinct
 

@@ -33,6 +33,7 @@ from sampling_design.certificates.families.step_proof import prove as proven_alo
 from sampling_design.certificates.form.claims import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
+from sampling_design.numerics.conic_programs import NO_TIME, TOO_LARGE
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import cut, discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
@@ -232,7 +233,7 @@ class FamilySearch:
                 chosen = bounds[0] < bounds[1]
                 return self.best_of(bounds, level, proposal, report) if chosen else proposal
             missed.append(proposal)
-            if self.budget.over:
+            if self.budget.over or proposal.solver.status in (TOO_LARGE, NO_TIME):
                 break
             if len(missed) > 2 and proposal.kept < MEMORY_GAIN * missed[-3].kept:
                 break  # two levels more, and no more information kept: memory is not what is missing
@@ -464,7 +465,13 @@ def without_states(
 
 def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], least: NearestFailure) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is observed worst."""
-    if search.budget.over:
+    if missed[-1].solver.status == TOO_LARGE:
+        return UndecidedError(
+            f"undecided at rate {eta:.6g}: the semidefinite program for {search.plant.n_states} states on this family "
+            "would take more memory than a gigabyte. Certify rows of the state (`of`), or one schedule.",
+            status="undecided", eta=eta, word=least.schedule,
+        )  # fmt: skip
+    if search.budget.over or missed[-1].solver.status == NO_TIME:
         return UndecidedError(
             f"undecided at rate {eta:.6g}: no certificate was proven within the budget, and no schedule of the family "
             "without one was found. Give it more time.", status="budget", eta=eta, word=least.schedule,

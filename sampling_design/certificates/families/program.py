@@ -8,7 +8,9 @@ proposal: `family_proof` closes the continuum between the grid points, or names 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
@@ -97,23 +99,30 @@ class FamilyProgram:
         """
         given, self.P2 = self.P2, np.zeros((0, 0))  # the start's matrix is infinite: no variable
         try:
-            blocks = [self._edge(k, h) for k, h in self._edge_points()]
-            blocks += [self._node_above(u, s, self.unit) for u, s in self._node_points()]
-            blocks.append(self._at_most(MOST_KEPT / float(np.linalg.eigvalsh(self.unit)[-1])))
-            return self._largest([b for b in blocks if b[2].size], -np.inf)
+            blocks = chain(
+                (self._edge(k, h) for k, h in self._edge_points()),
+                (self._node_above(u, s, self.unit) for u, s in self._node_points()),
+                [self._at_most(MOST_KEPT / float(np.linalg.eigvalsh(self.unit)[-1]))],
+            )
+            return self._largest((b for b in blocks if b[2].size), -np.inf)
         finally:
             self.P2 = given
 
     def feasible(self, lam: float, floor: float) -> ProgramSolution:
         """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
         ratio = (1 + self.margin) / lam
-        blocks = [self._edge(k, h, slack=True) for k, h in self._edge_points()]
-        blocks += [self._node(u, s, ratio) for u, s in self._node_points()]
+        blocks = chain(
+            (self._edge(k, h, slack=True) for k, h in self._edge_points()),
+            (self._node(u, s, ratio) for u, s in self._node_points()),
+            [self._kept(lam, floor), self._at_most(1.0)],
+        )
+        return self._largest(blocks, LEAST_SLACK)
+
+    def _kept(self, lam: float, floor: float) -> ConeRows:
+        """P2/lam >= floor unit."""
         above = np.zeros((self.pairs, self._width))
         above[:, self._place(0)] = -np.eye(self.pairs) / lam
-        blocks.append(("psd", above, -floor * conic_programs.svec(self.unit)))
-        blocks.append(self._at_most(1.0))
-        return self._largest(blocks, LEAST_SLACK)
+        return "psd", above, -floor * conic_programs.svec(self.unit)
 
     def _at_most(self, value: float) -> ConeRows:
         """The last variable is at most so much."""
@@ -124,15 +133,27 @@ class FamilyProgram:
     def best_ratio(self) -> ProgramSolution:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
         assert self.P2 is not None
-        blocks = [self._edge(k, h) for k, h in self._edge_points()]
-        blocks += [self._node_above(u, s, self.P2, 1 + self.margin) for u, s in self._node_points()]
+        blocks = chain(
+            (self._edge(k, h) for k, h in self._edge_points()),
+            (self._node_above(u, s, self.P2, 1 + self.margin) for u, s in self._node_points()),
+        )
         return self._largest(blocks, np.nextafter(0.0, 1.0))
 
-    def _largest(self, blocks: list[ConeRows], least: float) -> ProgramSolution:
-        """The largest last variable under these blocks, and the matrices; none below `least`, or where it fails."""
+    def _largest(self, blocks: Iterable[ConeRows], least: float) -> ProgramSolution:
+        """The largest last variable under these blocks, and the matrices; none below `least`, or where it fails.
+
+        They are made one after the other, and not all, where they are too large for memory or for what is left of time.
+        """
+        posed: list[ConeRows] = []
+        places = len(self._edge_points()) + len(self._node_points())
+        for block in blocks:
+            expected = [block[2].size] * (places - len(posed)) + [right.size for _, _, right in posed]
+            if refused := conic_programs.too_large(expected, self.budget.seconds_left(LEAST_TIME)):
+                return 0.0, None, refused
+            posed.append(block)
         cost = np.zeros(self._width)
         cost[-1] = -1.0
-        solution = _solved(cost, blocks, self.budget)
+        solution = _solved(cost, posed, self.budget)
         if not conic_programs.usable(solution.record) or solution.x[-1] < least:
             return 0.0, None, solution.record
         return float(solution.x[-1]), self._matrices(solution.x), solution.record

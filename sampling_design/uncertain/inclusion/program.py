@@ -260,6 +260,9 @@ class InclusionProgram:
         sizes = [right.size for _, _, right in every]
         row, column, data = (np.concatenate(part) for part in zip(*(entries for _, entries, _ in every), strict=True))
         row = row + np.repeat(np.cumsum([0, *sizes[:-1]]), [entries[0].size for _, entries, _ in every])
+        psd = (size for (kind, _, _), size in zip(every, sizes, strict=True) if kind == "psd")
+        if refused := conic_programs.too_large(psd, self.budget):
+            return None, refused
         A = sparse.csc_matrix((data, (row, column)), shape=(sum(sizes), len(cost)))
         cones = [(kind, right) for kind, _, right in every]
         found = conic_programs.solve_cone_program_of(cost, A, cones, budget=self.budget)

@@ -216,7 +216,7 @@ def _witness(
     At rest where it attains `rounding` alone.
     """
     witness, j, offset = strongest_witness(side, searched.row, question, searched, limit)
-    if moves and j < len(side.system):  # where some results are out, it stays at planned times
+    if moves and j < len(side.system) and not side.budget.over:  # where some results are out, it stays at planned times
         witness = max(witness, moved_witness(side, question, searched, j, offset), key=lambda found: found.value)
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 

@@ -30,6 +30,10 @@ CELLS = 2  # least number of coarse cells of a gap
 FINER_CELLS = (1, 2, 4, 16)  # so many times more cells on each level than on the first
 SUM_HELD = 8 * float(np.finfo(float).eps)  # relative error of a flow over a panel, for each state and panel before it
 REMEMBERED = 1024  # gaps that are kept
+AT_ONCE = 2**19
+"""Numbers along the panels of a gap that are made at once: what a cache does not hold costs up to ten times as much,
+where a fast mode asks for thousands of panels."""
+
 GROWN = 1e70  # growth over a period beyond which sizes are not followed: its square is a number still, in any units
 
 
@@ -63,11 +67,15 @@ class PropagatedGap:
         a panel times sup|p'''|.
         """
         (count, _, q), k = self.propagated.shape, g.shape[1]
+        most = max(AT_ONCE // (count * max(q, 1)), 1)
+        if k > most:
+            return np.concatenate([self.integral(g[:, i : i + most], ball) for i in range(0, k, most)])
         propagated, curved, ends, inner, rest = self._quadrature
         p, bend = propagated @ g, curved @ g
         more = rest * np.linalg.norm(g, axis=0)
         if ball:
-            size, curve = (np.linalg.norm(X.reshape(count, q, k), axis=1) for X in (p, bend))
+            stacks = (X.reshape(count, q, k) for X in (p, bend))
+            size, curve = (np.sqrt(np.einsum("cqk,cqk->ck", X, X)) for X in stacks)
             return np.asarray(ends @ size + inner @ np.maximum(curve[1:], curve[:-1]) + more)
         size, curve = (np.abs(X, out=X).reshape(count, q * k) for X in (p, bend))
         total = ends @ size + inner @ np.maximum(curve[1:], curve[:-1])

@@ -137,7 +137,8 @@ def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart,
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
     for (j, i), node in search.system.incoming.items():
         sides, table = (float(forward[i]), float(back[i])), tables.setdefault(i, ({}, {}))
-        g[j, i] = sample_adds(search, node, question.plant.C[i] @ known.lift, sides, table, seek)
+        more = seek and not search.budget.over
+        g[j, i] = sample_adds(search, node, question.plant.C[i] @ known.lift, sides, table, more)
     search.back = own
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy import gap_table
 from sampling_design.accuracy import sampled_system as chains
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.errors import UndecidedError
@@ -92,3 +93,16 @@ def test_a_state_that_decays_beyond_numbers_between_samples_leaves_the_others_wh
     assert alone.lower[0] <= found.upper[1] * (1 + 1e-9)
     assert found.upper[1] <= 1.06 * alone.upper[0]
     assert found.lower[0] == 0
+
+
+@pytest.mark.parametrize("ball", [False, True])
+def test_integrals_of_columns_are_the_same_however_many_are_made_at_once(ball, monkeypatch):
+    """A fast mode asks for thousands of panels: then a few columns at a time, of the same values."""
+    A, G = np.diag([-300.0, -0.1]) + np.eye(2, k=1), np.array([[0.3, 0.0], [1.0, 0.5]])
+    gap = gap_table.GapTable(A, G, np.ones(2)).open(1.0)
+    g = np.random.default_rng(0).normal(size=(2, 7))
+    whole = gap.integral(g, ball)
+    monkeypatch.setattr(gap_table, "AT_ONCE", 2 * gap.propagated.size)
+    np.testing.assert_allclose(gap.integral(g, ball), whole, rtol=1e-12)
+    monkeypatch.setattr(gap_table, "AT_ONCE", 0)
+    np.testing.assert_allclose(gap.integral(g, ball), whole, rtol=1e-12)

@@ -61,7 +61,7 @@ def test_a_search_that_is_late_judges_one_shape_more(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "limit, value, why",
+    ("limit", "value", "why"),
     [
         ("MOST_NUMBERS", 1e3, "would take more memory than a gigabyte. Certify rows of the state"),
         ("SETTING_UP", 1.0, "no certificate was proven within the budget"),

@@ -303,3 +303,23 @@ def test_a_plant_that_nothing_drives_is_certified(name, schedule, monkeypatch):
     made = certify(Plant(np.divide(A, 1e6 if schedule.endless else 1.0), C, G=np.zeros((len(A), 1))), schedule)
     assert "nothing drives" in made.solver.details["weights"]
     assert made.verify().passed
+
+
+PARTLY_DRIVEN = {
+    "beside a drift, unobserved": (np.diag([0.0, -0.125]), [[1.0, 0.0]]),
+    "beside a mode that grows, observed": (np.diag([0.1, -0.5]), np.eye(2)),
+    "moves the drift": ([[0.0, 1.0], [0.0, -0.125]], [[1.0, 0.0]]),
+}
+
+
+@pytest.mark.parametrize("name", few(list(PARTLY_DRIVEN), 2))
+def test_a_state_that_nothing_drives_beside_one_that_is_driven(name, monkeypatch):
+    """It decays faster than errors are discounted, and in the long run has no variance: any weight serves for it.
+
+    In coordinates that mix both states lambda is the same.
+    """
+    monkeypatch.setattr(weight_choice, "SEARCH_WORK", 1e5)
+    A, C = PARTLY_DRIVEN[name]
+    turned, schedule = np.array([[0.8, -0.6], [0.6, 0.8]]), PeriodicSchedule([1.0])
+    lam = [certify(Plant(T @ A @ T.T, C @ T.T, G=T[:, :1]), schedule, eta=0.1).lam for T in (np.eye(2), turned)]
+    assert lam[0] == pytest.approx(lam[1], rel=1e-3)

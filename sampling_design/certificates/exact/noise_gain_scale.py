@@ -19,9 +19,13 @@ PAST, LEAST_SLOPE = 1.2, 0.02
 WIDEST = 200.0  # scales of a shape are looked for between e^-200 and e^200 times the first guess
 
 
-def rounded(Y: Array, share: float) -> Array:
-    """Y with so much more of every state's own variance: of a condition of about n/share at most."""
-    return symmetrise(Y + share * np.diag(np.diagonal(Y)))
+def rounded(Y: Array, share: float, prior: Array) -> Array:
+    """Y with so much more of every state's own variance: of a condition of about n/share at most.
+
+    A state of no variance, which decays and which nothing drives, has that share of a diagonal `prior`.
+    """
+    own = np.diagonal(Y)
+    return symmetrise(Y + share * np.diag(np.where(own > 0, own, np.diagonal(prior))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +47,8 @@ class RateWindows:
         None where it is not definite in doubles: it is one guess among others.
         """
         left: Array = np.asarray(np.mean(self.windows.long_run(np.zeros_like(self.mean)), axis=0), dtype=float)
-        shape = symmetrise(np.asarray(np.linalg.inv(rounded(left, roundness)), dtype=np.float64))
         try:
+            shape = symmetrise(np.asarray(np.linalg.inv(rounded(left, roundness, np.zeros_like(left)))))
             return [shape + np.exp(self.least(shape)) * symmetrise(self.b @ self.b.T)]
         except np.linalg.LinAlgError:
             return []

@@ -132,10 +132,10 @@ class WeightSearch:
         windows = self.windows(eta)
         prior = np.diag(canon.sizes**2)
         size = 1.0 / canon.plant.states.scales
-        along = rounded(np.mean(windows.long_run(prior), axis=0), self.roundness)
+        along = rounded(np.mean(windows.long_run(prior), axis=0), self.roundness, prior)
         covariance = np.linalg.inv(along)
         B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * covariance
-        mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness)
+        mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness, prior)
         return RateWindows(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
 
     def calmest(self, bounds: tuple[float, float], rates: list[float]) -> float:

@@ -121,10 +121,10 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     Notes
     -----
     *Claim.* A certificate exists iff every eigenvalue of e^{AP}, P the period, of modulus at least e^{-eta P/2} is
-    observable from the rows C_i e^{A tau_i} of one period. *Method.* In the coordinates of the invariant subspaces of
-    those modes, each column as large as what the outputs show of it, so that units change nothing. *Numerical
-    aspects.* `margin` says how clear the verdict is. A "no" is said only if a run of the discounted covariance over
-    many periods does not settle.
+    observable from the rows C_i e^{A tau_i} of one period, one of that very modulus being driven. *Method.* In the
+    coordinates of the invariant subspaces of those modes, each column as large as what the outputs show of it, so
+    that units change nothing. *Numerical aspects.* `margin` says how clear the verdict is. A "no" is said only if a
+    run of the discounted covariance over many periods does not settle.
 
     References
     ----------

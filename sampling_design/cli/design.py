@@ -87,34 +87,42 @@ def _modes(split: ModalSplit, unit: str) -> RichTable:
     return table("Modes", [f"eigenvalue [1/{unit}]", "multiplicity", "index", f"period [{unit}]", "part"], rows)
 
 
+DesignWindow = Annotated[
+    float | None,
+    typer.Option(help="Window that must show the state [time unit]; default: the longest oscillation, else 4/|A|."),
+]
+Period = Annotated[
+    float | None, typer.Option(help="The schedule repeats after this time [time unit]; default: the window.")
+]
+Spacing = Annotated[
+    float | None, typer.Option(help="Least time between two samples [time unit]; default: window/(4 samples).")
+]
+Samples = Annotated[
+    int | None, typer.Option(help="Exactly so many samples per period; default: what the zero count asks for.")
+]
+CostLimit = Annotated[
+    float | None, typer.Option(help="Most that the measurements of a period may cost; default: no limit.")
+]
+Branches = Annotated[
+    int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; default: while that helps.")
+]
+TargetSigma = Annotated[
+    float | None, typer.Option(help="The fewest samples that reach this sigma; default: none is asked.")
+]
+
+
 def design(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: RequirementFile = None,
-    window: Annotated[
-        float | None,
-        typer.Option(help="Window that must show the state [time unit]; default: the longest oscillation, else 4/|A|."),
-    ] = None,
-    period: Annotated[
-        float | None, typer.Option(help="The schedule repeats after this time [time unit]; default: the window.")
-    ] = None,
-    spacing: Annotated[
-        float | None, typer.Option(help="Least time between two samples [time unit]; default: window/(4 samples).")
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option(help="Exactly so many samples per period; default: what the zero count asks for.")
-    ] = None,
-    target_sigma: Annotated[
-        float | None, typer.Option(help="Default: none. The fewest samples that reach this sigma.")
-    ] = None,
-    cost_limit: Annotated[
-        float | None, typer.Option(help="Most that the measurements of a period may cost; default: no limit.")
-    ] = None,
+    window: DesignWindow = None,
+    period: Period = None,
+    spacing: Spacing = None,
+    samples: Samples = None,
+    target_sigma: TargetSigma = None,
+    cost_limit: CostLimit = None,
     timing_tolerance: TimingOption = None,
-    branches: Annotated[
-        int | None,
-        typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; default: while that helps."),
-    ] = None,
+    branches: Branches = None,
     start: Annotated[
         str | None,
         typer.Option(metavar="DATE", help="Date of time 0 (ISO 8601): writes calendar.csv and schedule.ics too."),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, date, datetime, timedelta, tzinfo
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 from sampling_design.checkers.strict import is_text
@@ -112,3 +112,11 @@ def time_zone(zone: str) -> ZoneInfo:
             f"`zone` must be the name of a time zone like Europe/Berlin, got {zone!r}."
             + (f" Did you mean {near[0]!r}?" if near else "")
         ) from None
+
+
+def day_in(cell: str) -> date | None:
+    """A date without an hour."""
+    try:
+        return date.fromisoformat(cell)
+    except ValueError:
+        return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC, date, datetime, time, timedelta, tzinfo
+from datetime import UTC, datetime, time, timedelta, tzinfo
 from itertools import chain, islice
 from typing import Protocol, runtime_checkable
 
@@ -13,7 +13,7 @@ from sampling_design.accuracy.readings import CensoredReading, at_some_time, tim
 from sampling_design.checkers.strict import nearest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
-from sampling_design.records import checks, file_io
+from sampling_design.records import checks, dates, file_io
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.dates import UnmixedDates, date_after, time_zone, unambiguous, zoned_date, zoned_text
 from sampling_design.records.declarations import moment
@@ -108,7 +108,7 @@ class _DateConverter:
         dated, end = self.stamp == "date", until or cell
         first = (self.date if dated else self.time)(line, cell)
         last = first if not until else (self.date if dated else self.time)(line, until)
-        if dated and (day := _day(end)) is not None:
+        if dated and (day := dates.day_in(end)) is not None:
             last = self.since(line, end, datetime.combine(day + timedelta(days=1), time()))
         try:
             return time_or_span((first, last))
@@ -253,14 +253,14 @@ class MeasurementTable:
     def _stamps(self, cells: tuple[str, ...]) -> Array | None:
         if self.stamp == "time":
             return self._column(cells, blank=False)
-        if any(_day(cell.strip()) for cell in cells):
+        if any(dates.day_in(cell.strip()) for cell in cells):
             return None
         try:
-            dates = [datetime.fromisoformat(cell.strip()) for cell in cells]
+            read = [datetime.fromisoformat(cell.strip()) for cell in cells]
         except ValueError:
             return None
         try:
-            return np.array([self.clock.since(_MANY, "", date) for date in dates])
+            return np.array([self.clock.since(_MANY, "", date) for date in read])
         except FileFormatError:
             return None  # said again with its line
 
@@ -430,19 +430,11 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
         if not cell and name == "time":
             raise FileFormatError(f"{where}: the time in {row_name(where, line)} is missing.", where)
         hint = " Leave the cell empty if nothing was measured." if blank else ""
-        if name == "time" and _is_date(cell):
+        if name == "time" and cell[4:5] == "-":  # behind a year
             hint = " Dates stand in a column named date."
         hint = file_io.number_slip(cell, where) or hint
         raise FileFormatError(f"{where}: {name} in {row_name(where, line)} is not a number: {cell!r:.60}.{hint}", where)
     return value
-
-
-def _day(cell: str) -> date | None:
-    """A date without an hour."""
-    try:
-        return date.fromisoformat(cell)
-    except ValueError:
-        return None
 
 
 def _place(where: str, line: int) -> str:
@@ -493,15 +485,6 @@ def time_or_date(origin: str, t: float, unit: str) -> str:
     """Return a time counted from the date `origin` as its date to the minute; as it is where that is ""."""
     dates = dates_of(origin, np.array([t]), unit)
     return f"{moment(t)} {unit}" if dates is None else dates[0].isoformat(sep=" ", timespec="minutes")
-
-
-def _is_date(cell: str) -> bool:
-    """Whether a cell is a date."""
-    try:
-        datetime.fromisoformat(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, tuple[float, ...]]) -> None:

@@ -123,19 +123,18 @@ class OnlineEstimator(Displayable, ABC):
         *Method.* A late sample is inserted and everything after it is replayed from the snapshot before it, so
         that the result is that of the samples in order; estimates that were handed out stay what they were.
         """
-        return self._taken_in(state, triple(sample))
+        return self._taken_in(state, *triple(sample))
 
-    def _taken_in(self, state: EstimatorState, sample: Sample) -> tuple[EstimatorState, Estimate]:
-        checked = self._check(sample, state)
+    def _taken_in(self, state: EstimatorState, time: object, y: object, u: object) -> tuple[EstimatorState, Estimate]:
+        checked = self._check(state, time, y, u)
         if checked.u is not None:
             state = with_input(state, checked)
         if checked.t > state.nodes[-1].t and not (checked.u is not None and _touched(state, checked.t)):
             if checked.y is None:
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
-            state = EstimatorState((*state.nodes, self._advance(state, self._resolved(state, checked))), state.inputs)
-            state = self._settled(state)
-            state = state.trimmed(self.memory, self.remembered)
+            node = self._advance(state, self._resolved(state, checked))
+            state = self._settled(state.grown(node, self.memory, self.remembered))
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
 
@@ -177,8 +176,8 @@ class OnlineEstimator(Displayable, ABC):
         for item in [*first, *later]:
             node = self._advance(replayed, self._resolved(replayed, item))
             node = node._replace(until=replayed.last.until) if replayed.last.until >= node.t else node
-            replayed = EstimatorState((*replayed.nodes, node), state.inputs)
-        replayed = self._settled(replayed).trimmed(self.memory, self.remembered)
+            replayed = replayed.grown(node, self.memory, self.remembered)
+        replayed = self._settled(replayed)
         old, new = state.last.branch, replayed.last.branch
         if (
             not (taken or forced)
@@ -189,13 +188,13 @@ class OnlineEstimator(Displayable, ABC):
             new.record(replayed.last.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
-    def _check(self, sample: Sample, state: EstimatorState) -> RecordRow:
-        t, span = (sample.t, None) if type(sample.t) is float and math.isfinite(sample.t) else time_or_span(sample.t)
+    def _check(self, state: EstimatorState, time: object, values: object, given: object) -> RecordRow:
+        t, span = (time, None) if type(time) is float and math.isfinite(time) else time_or_span(time)
         self._refuse_too_late(t, state)
-        y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else with_censored(sample.y, self.plant.n_outputs)
-        y = None if y is None else self._check_y(y, t, bool(limits))
+        read, limits = (values, ()) if type(values) is np.ndarray else with_censored(values, self.plant.n_outputs)
+        y = None if read is None else self._check_y(read, t, bool(limits))
         if span is not None:
-            if y is None or sample.u is not None:
+            if y is None or given is not None:
                 raise ArgumentError(
                     f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings."
                 )
@@ -203,16 +202,16 @@ class OnlineEstimator(Displayable, ABC):
             y = freeze(np.full(len(y), np.nan))
         if limits:
             self._check_censored(state, t, limits)
-        if sample.u is None:
+        if given is None:
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
             return RecordRow(t, y, None, limits)
-        plain = type(sample.u) is np.ndarray and sample.u.dtype == np.float64
-        u = np.array(sample.u, ndmin=1) if plain else None
+        plain = type(given) is np.ndarray and given.dtype == np.float64
+        u = np.array(given, ndmin=1) if plain else None
         if u is not None and u.shape == (self.plant.n_inputs,) and math.isfinite(sum(u.tolist())):
             u.flags.writeable = False
             return RecordRow(t, y, u, limits)
-        u = np.atleast_1d(checks.floats("u", sample.u))
+        u = np.atleast_1d(checks.floats("u", given))
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
         return RecordRow(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
@@ -260,7 +259,7 @@ class OnlineEstimator(Displayable, ABC):
 
     def update(self, t: float | tuple[float, float], y: object = None, u: object = None) -> Estimate:
         """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
-        self.state, estimate = self._taken_in(self.state, Sample(t, y, u))
+        self.state, estimate = self._taken_in(self.state, t, y, u)
         return estimate
 
     def correct(self, t: float | tuple[float, float], y: object = None, u: object = None) -> Estimate:
@@ -285,7 +284,7 @@ class OnlineEstimator(Displayable, ABC):
         On an error nothing changes. What contradicted the bounds only together with a corrected reading or input, no
         longer does.
         """
-        state, sample = self.state, self._check(Sample(t, y, u), self.state)
+        state, sample = self.state, self._check(self.state, t, y, u)
         at = state.node_before(sample.t)
         if sample.u is not None:
             state = state._replace(inputs=corrected_inputs(state.inputs, sample), reached=None)

@@ -158,11 +158,11 @@ def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode, h
     `terms` is what the truth costs at most, `dual` a lower bound on what any trajectory costs, `held` the squares of
     the numbers of a solve in units of what is known of them.
     """
-    beta, rest = terms - dual, moved(terms, last.held + held)
+    beta, rest, contradiction = terms - dual, moved(terms, last.held + held), last.contradiction
     if beta < -CONTRADICTION * terms - rest:
-        return SolveVerdict(0.0, "bounds disproved", False, last.contradiction)
+        return SolveVerdict(0.0, "bounds disproved", False, contradiction)
     rest += (ROUNDING + weights.loose) * terms
-    return SolveVerdict(max(beta, 0.0) + rest, "ok", last.stands, last.contradiction)
+    return SolveVerdict(max(beta, 0.0) + rest, "ok", last.sound and contradiction is None, contradiction)
 
 
 def rounding_energy(weights: CostWeights, y: Array, x: Array) -> float:

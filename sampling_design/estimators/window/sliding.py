@@ -4,7 +4,8 @@ Discounts count from a fixed time z, e^{eta(s_j - z)}, so that the columns of th
 inside the window stay as they are; the window's start and its newest node are added to a copy. Where gaps and measured
 outputs have been the same for a whole window, the factor of these equations is that of the window before. Where digits
 would be lost, `smooth` is asked instead: this is its banded route, column by column. Vectors of a few entries go
-through `dot`, whose call costs a third of that of `@`, and with a number half of that of `*`.
+through `dot`, whose call costs a third of that of `@`, and with a number half of that of `*`; names of arguments cost
+BLAS and LAPACK as much as the call.
 """
 
 from __future__ import annotations
@@ -12,11 +13,10 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
-from operator import is_
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
@@ -33,7 +33,7 @@ WIDEST = 300.0
 """Exponent of the discount over a window from which on it is not remembered: its start has no weight then."""
 
 HISTORIES = 64  # histories of one estimator that are remembered side by side
-_substituted = lapack.dtbtrs
+_substituted = blas.dtbsv
 
 ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
 CANCELLED = 1e-4  # share of the reference's cost below which the least cost is not found as a difference from it
@@ -49,14 +49,13 @@ of a reference may show in its ninth digit: nodes to come take their estimates f
 
 
 class OutputInformation(NamedTuple):
-    """What measuring some outputs means: band of C'Y C, C'U' with U'U = Y, a bound on the noise's cost, and two maps:
-    read y - rows x is U (y - C x), and below it as much as |y| and |x| are in units of their weights, or more.
+    """What measuring some outputs means: band of C'Y C, C'U' with U'U = Y, a bound on the noise's cost, and a map: of
+    (y, x, D u) it makes U (y - D u - C x), and below it as much as |y| and |x| are in units of their weights, or more.
     """
 
     band: Array
     back: Array
-    read: Array
-    rows: Array
+    off: Array
     energy: float
 
 
@@ -82,10 +81,11 @@ class WindowGains(NamedTuple):
 
     def applied(self, right: Array, end: float, whole: bool) -> tuple[Array, float]:
         """Return the last node's deviation, or those of the `whole` window, and what they gain, at its discount."""
-        half = _substituted(self.factor, right.reshape(-1, 1), "L")[0].ravel()
+        factor = self.factor
+        half: Array = _substituted(len(factor) - 1, factor, right.ravel(), 1, 0, 1)
         scale, gain = self.end / end, float(half.dot(half))
         if whole:
-            return _substituted(self.factor, half[:, None], "L", "T")[0].ravel() * scale, gain * scale
+            return _substituted(len(factor) - 1, factor, half, 1, 0, 1, 1) * scale, gain * scale
         return self.root.T.dot(half[-len(self.root) :].dot(scale)), gain * scale
 
 
@@ -139,12 +139,13 @@ class SlidingBand:
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
-        self._outputs: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and what they read
+        self._outputs: list[OutputInformation] = []  # what a node's outputs mean
+        self._data: list[Array] = []  # y, reference and D u, one after the other
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = self._listed = 0  # so many nodes have their columns; so many have their rows in `_measured`
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
         # of so many nodes, and what they came with
-        self._gains: tuple[int, tuple[object, ...], WindowGains] | None = None
+        self._gains: tuple[int, GapFlow | None, OutputInformation, GapFlow, Array, WindowGains] | None = None
         # what a sample at the start leaves of the last prior there, of the last outputs: Y, gain, and root of its cost
         self._absorbed: tuple[Array, OutputInformation, Array, Array, Array] | None = None
         self._predicted: Array | None = None  # where the gap before the newest node leads from the estimate before it
@@ -154,13 +155,13 @@ class SlidingBand:
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 + |x|^2
         self._sums = np.zeros((ROOM, 4))
         self._measured = np.zeros((ROOM, 3, len(self._C)))  # y, mask and D u
-        self._missed = np.zeros((ROOM, n))  # by how much the gap before a node leads elsewhere than to its reference
+        self._still = np.zeros(n)
+        self._missed: list[Array] = []  # by how much the gap before a node leads elsewhere than to its reference
         self._ones = np.ones(ROOM)
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        held = self._own, self._before, self._pull, self._pull_before, self._sums
-        return *held, self._missed, self._measured
+        return self._own, self._before, self._pull, self._pull_before, self._sums, self._measured
 
     def output_information(self, mask: Array) -> OutputInformation:
         """Return what a sample of some outputs means."""
@@ -172,10 +173,11 @@ class SlidingBand:
             weights, p, n = self._weights.at(mask), self._p, self._n
             root = weights.y_root
             back = self._C.T @ root.T
-            read = np.vstack([root, np.zeros((n, p)), np.diag(np.sqrt(p * weights.y.diagonal()))])
-            rows = np.vstack([root @ self._C, self._held, np.zeros((p, n))])
+            off = np.zeros((2 * p + n, 2 * p + n if self._direct else p + n))
+            off[:p] = np.hstack([root, -root @ self._C, -root])[:, : off.shape[1]]
+            off[p : p + n, p : p + n], off[p + n :, :p] = self._held, np.diag(np.sqrt(p * weights.y.diagonal()))
             band, energy = lower_band(back @ back.T, n)[0], float(self._energy(mask[None])[0])
-            found = self._kinds[key] = OutputInformation(band, back, read, rows, energy)
+            found = self._kinds[key] = OutputInformation(band, back, off, energy)
         self._latest = mask, found
         return found
 
@@ -188,8 +190,7 @@ class SlidingBand:
         k = len(self._known)
         if k == len(self._own):
             grown = [np.concatenate([part, np.zeros((k, *part.shape[1:]))]) for part in self._parts]
-            self._own, self._before, self._pull, self._pull_before, self._sums = grown[:5]
-            self._missed, self._measured = grown[5:]
+            self._own, self._before, self._pull, self._pull_before, self._sums, self._measured = grown
             self._ones = np.ones(2 * k)
         kind, flow = self.output_information(new.mask), new.flow
         if not k:
@@ -198,15 +199,15 @@ class SlidingBand:
             return False
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
-        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._outputs[-1][0] else 1
+        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._outputs[-1] else 1
         d = math.exp(self._eta * (new.t - self._zero))
         self._known.append(new)
-        self._outputs.append((kind, self._read(kind, new)))
+        self._outputs.append(kind)
+        self._data.append(self._read(kind, new))
         self._reference.append(reference)
+        self._missed.append(self._still)
         weighed = self._weighed(k, d)
-        sums = self._sums[k]
-        sums[1], sums[2] = kind.energy * d, 0.0
-        self._pull_before[k] = self._missed[k] = 0.0
+        self._sums[k, 1] = kind.energy * d
         self._predicted = None
         if not predicted:
             self._untouched = False
@@ -219,17 +220,19 @@ class SlidingBand:
         return weighed and self._joined(k, d, last - estimated)
 
     def _read(self, kind: OutputInformation, node: IncomingNode | HistoryNode) -> Array:
-        """Return U (y - D u), and how large y is."""
-        read: Array = kind.read.dot(node.y)
+        """Return y, room for a state, and D u where there may be any."""
+        p, read = self._p, np.empty(kind.off.shape[1])
+        read[:p] = node.y
         if self._direct:
-            read[: self._p] -= kind.read[: self._p].dot(node.feedthrough)
+            read[-p:] = node.feedthrough
         return read
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        (kind, read), sums = self._outputs[k], self._sums[k]
-        off = read - kind.rows.dot(self._reference[k])
-        half = off[: self._p]
+        kind, data, sums, p = self._outputs[k], self._data[k], self._sums[k], self._p
+        data[p : p + self._n] = self._reference[k]
+        off = kind.off.dot(data)
+        half = off[:p]
         square = float(half.dot(half))
         kind.back.dot(half.dot(d), self._pull[k])
         sums[0], sums[3] = square * d, off.dot(off)
@@ -291,8 +294,10 @@ class SlidingBand:
         kept = len(self._known) - count
         for part in self._parts:
             part[:kept] = part[count : count + kept].copy()
+            part[kept:] = 0.0
         self._banded, self._listed = max(self._banded - count, 0), max(self._listed - count, 0)
-        del self.nodes[:count], self._known[:count], self._reference[:count], self._outputs[:count]
+        for held in (self.nodes, self._known, self._reference, self._outputs, self._data, self._missed):
+            del held[:count]
 
     def _columns(self, rows: slice) -> Array:
         """The columns of some nodes up to the newest: what each costs, and both gaps beside it."""
@@ -300,11 +305,11 @@ class SlidingBand:
         for k in range(self._banded, rows.stop):
             new = self._known[k]
             d = math.exp(eta * (new.t - zero))
-            np.multiply(self._outputs[k][0].band, d, own[k])
+            np.multiply(self._outputs[k].band, d, own[k])
             if k and new.flow is not None:
-                gap, column = new.flow.band, own[k - 1]
-                column += gap[0] * d
-                np.multiply(gap[1], d, before[k])
+                gap, column = new.flow.band.dot(d), own[k - 1]
+                column += gap[0]
+                before[k] = gap[1]
         self._banded = rows.stop
         work: Array = own[rows] + before[rows]
         return work
@@ -358,8 +363,8 @@ class SlidingBand:
             gains = _factored(work, end)
             if gains is None:
                 return None
-            alike = self._alike >= count - first
-            self._gains = (count - first, self._with(flow, Y), gains) if alike else None
+            came = count - first, known[-1].flow, self._outputs[-1], flow, Y, gains
+            self._gains = came if self._alike >= count - first else None
         deviation, gain = gains.applied(right, end, whole)
         if not math.isfinite(gain + cost):
             return None
@@ -390,8 +395,7 @@ class SlidingBand:
         begun = flow.growth * Y.dot(flow.F.T.dot(arrival[0].dot(deviation[: self._n] - moved)))
         places = np.array([x, *self._reference[first:]])
         away = np.concatenate([begun, deviation]).reshape(-1, self._n)
-        defect = self._missed[first : len(self._known)].copy()
-        defect[0] = moved
+        defect = np.array([moved, *self._missed[first + 1 :]])
         flows = [flow, *(new.flow for new in self._known[first + 1 :] if new.flow is not None)]
         return OptimalTrajectory(places + away, away, defect, flows)
 
@@ -408,24 +412,23 @@ class SlidingBand:
         y, masks, feedthrough = rows.transpose(1, 0, 2)
         return y - feedthrough, masks, feedthrough
 
-    def _with(self, flow: GapFlow, Y: Array) -> tuple[object, ...]:
-        """What the newest node came with, and what was known where the window begins."""
-        return self._known[-1].flow, self._outputs[-1][0], flow, Y
-
     def _gains_of_last_window(self, count: int, flow: GapFlow, Y: Array) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
         if self._gains is None or self._alike < count:
             return None
-        so_many, came, gains = self._gains
-        return gains if so_many == count and all(map(is_, came, self._with(flow, Y))) else None
+        so_many, newest, kind, arriving, prior, gains = self._gains
+        same = so_many == count and newest is self._known[-1].flow and kind is self._outputs[-1]
+        return gains if same and arriving is flow and prior is Y else None
 
     def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, Array]:
         """Return state and covariance after the sample at the start, its cost and noise bound; sizes of data."""
         node = initial.node
         assert node is not None
         kind = self.output_information(node.mask)
-        off = self._read(kind, node) - kind.rows.dot(initial.x)
-        innovation, rows = off[: self._p], kind.rows[: self._p]
+        data, p, n = self._read(kind, node), self._p, self._n
+        data[p : p + n] = initial.x
+        off = kind.off.dot(data)
+        innovation, rows = off[:p], -kind.off[:p, p : p + n]
         if self._absorbed is None or self._absorbed[0] is not initial.Y or self._absorbed[1] is not kind:
             root, gain, half = root_update(covariance_root(initial.Y), rows, np.eye(innovation.size))
             self._absorbed = initial.Y, kind, root @ root.T, gain, half

@@ -6,6 +6,7 @@ from copy import copy
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import lapack
 
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
@@ -23,6 +24,7 @@ from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     ROUNDING,
+    CovariancePrecision,
     overflowed,
     represented,
     rounding_energy,
@@ -124,18 +126,18 @@ class KalmanFilter(WindowedEstimator):
         super().start(prior, prior_time)
         self._begun = self.state.last  # the oldest node that is kept may be a later one, known otherwise
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what overflows is looked at
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         new, last, weights = self._incoming(state, sample), state.last, self.weights
         y, mask, feedthrough, flow, drift = new.y, new.mask, new.feedthrough, new.flow, new.drift
-        with np.errstate(over="ignore", invalid="ignore"):
-            x, Y, before = self.loop.propagated(last, flow, drift)
+        x, Y, before = self.loop.propagated(last, flow, drift)
         self.loop.refuse_overflow(flow, sample.t, x, Y)
         root = weights.at(mask).y_root
-        H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
+        H, innovation = root.dot(self.plant.C), root.dot(y - feedthrough - self.plant.C.dot(x))
         begun = state.nodes[0].t
         if means_of(sample):
             return self._with_means(state, new)
-        own = float(self.bounds.of_samples(mask[None])[0])
+        own = self.bounds.of_sample(mask)
         terms = before + own
         if too_large(innovation):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
@@ -144,18 +146,19 @@ class KalmanFilter(WindowedEstimator):
             solved = SolvedSample(x, Y, verdict._replace(beta=beta), "filter", note)
             return self.recorder.node(state, new, solved, begun)
         # an innovation is the difference of what was read and what was predicted, and has no other margin here
-        terms += rounding_energy(self.weights, np.abs(y) + np.abs(self.plant.C) @ np.abs(x), x)
+        terms += rounding_energy(self.weights, abs(y) + abs(self.plant.C).dot(abs(x)), x)
         deviation, step, weighted_innovation = root_update(covariance_root(Y), H, innovation)
-        Y, x = freeze(symmetrise(deviation @ deviation.T)), freeze(x + step)
-        cost = float(weighted_innovation @ weighted_innovation)
+        Y, x = freeze(symmetrise(deviation.dot(deviation.T))), freeze(x + step)
+        cost = float(weighted_innovation.dot(weighted_innovation))
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
         verdict = self._judged(state, new, terms, cost * (1 - ROUNDING))
         if verdict.status == "bounds disproved" and last.stands:
             verdict = verdict._replace(
                 contradiction=self._contradiction(sample, last.number + 1, (weighted_innovation, cost), (terms, own))
             )
-        solved = SolvedSample(x, Y, verdict, "filter", cost=past + cost)
-        return self.recorder.node(state, new, solved, begun)
+        half, flag = lapack.dtrtri(deviation, 1)
+        precision = None if flag else CovariancePrecision.of(Y, half.T, 1.0)
+        return self.recorder.node(state, new, SolvedSample(x, Y, verdict, "filter", "", past + cost, precision), begun)
 
     def _with_means(self, state: EstimatorState, new: IncomingNode) -> HistoryNode:
         """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""

@@ -24,8 +24,8 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, StateBox
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder, SolvedSample, is_finite
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
+from sampling_design.estimators.online.recorder import Recorder, SolvedSample
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     SolveVerdict,
@@ -216,7 +216,7 @@ class WindowedEstimator(OnlineEstimator):
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
-        self._histories = BandCache(self.weights, self.bounds.of_samples)
+        self._histories = BandCache(self.weights, self.bounds.of_sample)
         self._slides = True
         if self.check_spacing is not None and self.constraints.x is not None:
             self._between = CheckPoints(self.loop.table, self.check_spacing)
@@ -272,7 +272,7 @@ class WindowedEstimator(OnlineEstimator):
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self.loop.between(state, node.t, s)
         x, Y, beta = self.loop.propagated(node, flow, drift)
-        if math.isfinite(sum(x.tolist())) and is_finite(Y):
+        if is_finite(x) and is_finite(Y):
             return x, Y, beta
         self.loop.refuse_overflow(flow, s, x)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":

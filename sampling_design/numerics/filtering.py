@@ -14,6 +14,7 @@ forms: Laub 1979.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import lapack
@@ -22,6 +23,7 @@ from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 
 EPS = float(np.finfo(float).eps)
+BLOCK = 32  # columns that Householder's transformations take together, where there are so many
 TINY = float(np.finfo(float).tiny)  # the least variance: any error of a state that is known exactly lies beyond
 
 
@@ -108,20 +110,24 @@ def root_update(root: Array, rows: Array, innovation: Array) -> tuple[Array, Arr
     The rows of the root come first, so that a large one (little is known) costs no digits of what is then known.
     """
     p, (n, m) = len(rows), root.shape
-    stacked = np.zeros((m + p, p + n))
-    stacked[:m, :p], stacked[:m, p:] = (rows @ root).T, root.T
+    stacked = np.zeros((m + p, p + n), order="F")
+    stacked[:m, :p], stacked[:m, p:] = rows.dot(root).T, root.T
     stacked[m:, :p] = np.eye(p)
-    R = np.asarray(np.linalg.qr(stacked, mode="r"))
-    half = np.asarray(lapack.dtrtrs(R[:p, :p], innovation, lower=0, trans=1)[0])
-    return R[p:, p:].T, R[:p, p:].T @ half, half
+    R = lapack.dgeqrf(stacked, BLOCK * (p + n), 1)[0]  # below the diagonal are Householder's vectors
+    half: Array = lapack.dtrtrs(R[:p, :p], innovation, 0, 1)[0]
+    known: Array = R[p : p + n, p:].T
+    return known * _triangle(*known.shape), R[:p, p:].T.dot(half), half
+
+
+@lru_cache(maxsize=64)
+def _triangle(n: int, m: int) -> Array:
+    return np.tri(n, m)
 
 
 def covariance_root(Y: Array) -> Array:
     """Return S with S S' = Y: Cholesky's factor, or where rounding has made Y singular, that of its correlations."""
-    try:
-        return np.asarray(np.linalg.cholesky(Y))
-    except np.linalg.LinAlgError:
-        return correlation_root(Y)
+    root, flag = lapack.dpotrf(Y, 1, 1)
+    return correlation_root(Y) if flag else np.asarray(root)
 
 
 def correlation_root(Y: Array, rounding: float = 0.0) -> Array:

@@ -183,6 +183,12 @@ class CostWeights:
         return max(found)
 
     @cached_property
+    def entries(self) -> tuple[Array, Array]:
+        """Units in which the squares of the entries of y and x sum to no less than their weighted squares."""
+        y, prior = self.y.diagonal(), self.prior.diagonal()
+        return np.sqrt(len(y) * y), np.sqrt(len(prior) * prior)
+
+    @cached_property
     def units(self) -> Array:
         """Units of the states: what each is uncertain by at the prior."""
         return np.asarray(1 / np.sqrt(np.diag(self.prior)))

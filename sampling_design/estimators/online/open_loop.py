@@ -41,6 +41,7 @@ class ErrorBounds:
         initial_error: VectorBound,
     ):
         self.weights, self.plant = weights, weights.plant
+        self._samples: dict[bytes, float] = {}
         plant = self.plant
         self.v = None if v_bound is None else vector_bound("v_bound", v_bound, plant.outputs.names)
         self.w = None if w_bound is None else vector_bound("w_bound", w_bound, plant.disturbances.names)
@@ -57,6 +58,13 @@ class ErrorBounds:
     def of_samples(self, masks: Array) -> Array:
         """What the noise of samples costs at most, (N,), of which `masks` (N, p) says what is measured."""
         return self.weights.sample_energy(self.v, False, masks)
+
+    def of_sample(self, mask: Array) -> float:
+        """What the noise of one sample costs at most; found once for each mask."""
+        key = mask.tobytes()
+        if key not in self._samples:
+            self._samples[key] = float(self.of_samples(mask[None])[0])
+        return self._samples[key]
 
     def over(self, h: float) -> float:
         """What the disturbance over a time h costs at most: w_bound^2 (1 - e^{-eta h})/eta in the norm of Qw."""
@@ -134,7 +142,7 @@ class OpenLoop:
 
         Raises ArgumentError if the flow or what it leads to is not finite.
         """
-        if not all(np.isfinite(each).all() for each in (flow.F, *reached)):
+        if not all(map(is_finite, (flow.F, *reached))):
             raise ArgumentError(
                 f"`t` = {t!r} lies {flow.gap:.6g} {self.weights.plant.time_unit} after the last sample: what is not "
                 "measured for so long grows beyond double precision. Start again near it: start(prior, prior_time)."
@@ -151,3 +159,8 @@ class OpenLoop:
             with np.errstate(over="ignore", invalid="ignore"):
                 flow.undiscounted = np.asarray(self._undiscounted_flow.over([flow.gap])[2][0])
         return flow.undiscounted
+
+
+def is_finite(values: Array) -> bool:
+    """Whether all entries are finite: most often one sum tells."""
+    return math.isfinite(sum(values.ravel().tolist())) or bool(np.isfinite(values).all())

@@ -11,7 +11,7 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of, with_proof
 from sampling_design.estimators.online.evidence import EstimateAssumptions, EstimateEvidence
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
-from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     CovariancePrecision,
@@ -147,8 +147,3 @@ class Recorder:
             return found
         middle = found.centred()
         return changed(middle, engine="set", note="" if middle.certified else middle.note, cost=np.nan)
-
-
-def is_finite(Y: Array) -> bool:
-    """Whether all entries of a covariance are finite: most often one sum tells."""
-    return math.isfinite(sum(Y.ravel().tolist())) or bool(np.isfinite(Y).all())

@@ -168,7 +168,7 @@ def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode, h
 def rounding_energy(weights: CostWeights, y: Array, x: Array) -> float:
     """Return what the rounding of (N, p) measurements and of a state may cost."""
     # entry by entry: a large value in one unit says nothing about the rounding of another
-    read, held = y * np.sqrt(y.shape[-1] * weights.y.diagonal()), x * np.sqrt(x.shape[-1] * weights.prior.diagonal())
+    read, held = y * weights.entries[0], x * weights.entries[1]
     return rounding(float(np.vdot(read, read) + np.vdot(held, held)))
 
 

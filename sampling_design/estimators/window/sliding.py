@@ -129,7 +129,7 @@ class SlidingBand:
     cancel (`SETTLED`), and where a history is begun anew, what was estimated for it.
     """
 
-    def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
+    def __init__(self, weights: CostWeights, energy: Callable[[Array], float]):
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
         self._C, self._held = weights.plant.C, np.diag(np.sqrt(n * weights.prior.diagonal()))
@@ -176,7 +176,7 @@ class SlidingBand:
             off = np.zeros((2 * p + n, 2 * p + n if self._direct else p + n))
             off[:p] = np.hstack([root, -root @ self._C, -root])[:, : off.shape[1]]
             off[p : p + n, p : p + n], off[p + n :, :p] = self._held, np.diag(np.sqrt(p * weights.y.diagonal()))
-            band, energy = lower_band(back @ back.T, n)[0], float(self._energy(mask[None])[0])
+            band, energy = lower_band(back @ back.T, n)[0], self._energy(mask)
             found = self._kinds[key] = OutputInformation(band, back, off, energy)
         self._latest = mask, found
         return found
@@ -440,7 +440,7 @@ class SlidingBand:
 class BandCache:
     """Sliding bands by their last node, the least recently used dropped first."""
 
-    def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
+    def __init__(self, weights: CostWeights, energy: Callable[[Array], float]):
         self._weights, self._energy = weights, energy
         self._known: OrderedDict[int, tuple[HistoryNode, SlidingBand]] = OrderedDict()
         self._begun: SlidingBand | None = None

@@ -41,6 +41,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RowArguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.checks import freeze
 from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.jitter import Timing
 
@@ -264,7 +265,6 @@ class MovingHorizonEstimator(WindowedEstimator):
         if solved is None:
             solved = self._solved(state, start, new)
         solved.x.setflags(write=False)
-        solved.Y.setflags(write=False)
         node = self.recorder.node(state, new, solved, start.s, scheduled)
         self._histories.keep(node)
         return node
@@ -298,7 +298,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             self.loop.refuse_overflow(flow, sample.t, Y)
             verdict = verdict._replace(beta=beta, sound=verdict.sound and verdict.status == "solver failed")
-        return SolvedSample(x, Y, verdict, engine, note, cost)
+        return SolvedSample(x, freeze(Y), verdict, engine, note, cost)
 
     def _contradiction(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]

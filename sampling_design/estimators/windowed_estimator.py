@@ -216,7 +216,7 @@ class WindowedEstimator(OnlineEstimator):
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
-        self._histories = BandCache(self.weights, self.bounds.of_sample)
+        self._histories = BandCache(self.table, self.bounds.of_sample)
         self._slides = True
         if self.check_spacing is not None and self.constraints.x is not None:
             self._between = CheckPoints(self.loop.table, self.check_spacing)

@@ -389,8 +389,10 @@ def _joint(F: Array, W: Array) -> _BothEnds:
     half, n = _half(W), len(F)
     if half is None:
         return _NO_ENDS
-    both = np.concatenate((half.dot(F), -half), axis=1)
-    joint = both.T.dot(both)
+    both = np.empty((2 * n, n))  # transposed, so that each half of it is one piece
+    F.T.dot(half.T, both[:n])
+    np.negative(half.T, both[n:])
+    joint = both.dot(both.T)
     condition, diagonal = _condition(W, joint[n:, n:]), joint.diagonal()
     if not (condition <= CONDITION_LIMIT and math.isfinite(sum(diagonal.tolist()))):
         return _NO_ENDS

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from sampling_design.estimators.gap_flows.cost_weights import CostWeights
-from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, lower_band
 from sampling_design.estimators.online.history import HistoryNode, IncomingNode
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, CovariancePrecision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
@@ -129,7 +128,8 @@ class SlidingBand:
     cancel (`SETTLED`), and where a history is begun anew, what was estimated for it.
     """
 
-    def __init__(self, weights: CostWeights, energy: Callable[[Array], float]):
+    def __init__(self, table: FlowTable, energy: Callable[[Array], float]):
+        weights, self._no_drift = table.weights, table.no_drift
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
         self._C, self._held = weights.plant.C, np.diag(np.sqrt(n * weights.prior.diagonal()))
@@ -350,7 +350,9 @@ class SlidingBand:
         information, band = arrival
         count, rows = len(known), slice(first, len(known))
         right = self._pull[rows] + self._pull_before[rows]
-        moved = flow.F.dot(x) + drift - self._reference[first]
+        moved = flow.F.dot(x) - self._reference[first]
+        if drift is not self._no_drift:
+            moved += drift
         g = information.dot(moved.dot(d))
         np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
         fit, energy, gaps, size = self._ones[rows].dot(self._sums[rows]).tolist()
@@ -440,8 +442,8 @@ class SlidingBand:
 class BandCache:
     """Sliding bands by their last node, the least recently used dropped first."""
 
-    def __init__(self, weights: CostWeights, energy: Callable[[Array], float]):
-        self._weights, self._energy = weights, energy
+    def __init__(self, table: FlowTable, energy: Callable[[Array], float]):
+        self._table, self._energy = table, energy
         self._known: OrderedDict[int, tuple[HistoryNode, SlidingBand]] = OrderedDict()
         self._begun: SlidingBand | None = None
 
@@ -449,7 +451,7 @@ class BandCache:
         """Return the band that ends with the last of `nodes`, and the number in it of node `first`; None if unfit."""
         count = len(nodes) - first
         if not count:
-            return SlidingBand(self._weights, self._energy), 0
+            return SlidingBand(self._table, self._energy), 0
         node, band = self._known.pop(id(nodes[-1]), (None, None))
         if band is not None and node is nodes[-1] and band.settle(node):
             at = len(band.nodes) - count
@@ -458,7 +460,7 @@ class BandCache:
                     band.forget(at)
                     at = 0
                 return band, at
-        band = SlidingBand(self._weights, self._energy)
+        band = SlidingBand(self._table, self._energy)
         for node in nodes[first:]:
             if not band.append(node, node.x):
                 return None
@@ -497,4 +499,5 @@ def _factored(work: Array, end: float) -> WindowGains | None:
     last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
     root = lapack.dtrtri(last, 1)[0]
     Y = root.T.dot(root).dot(end)
+    Y.setflags(write=False)
     return WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))

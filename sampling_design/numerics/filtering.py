@@ -126,8 +126,10 @@ def _triangle(n: int, m: int) -> Array:
 
 def covariance_root(Y: Array) -> Array:
     """Return S with S S' = Y: Cholesky's factor, or where rounding has made Y singular, that of its correlations."""
-    root, flag = lapack.dpotrf(Y, 1, 1)
-    return correlation_root(Y) if flag else np.asarray(root)
+    try:
+        return np.asarray(np.linalg.cholesky(Y))
+    except np.linalg.LinAlgError:
+        return correlation_root(Y)
 
 
 def correlation_root(Y: Array, rounding: float = 0.0) -> Array:

@@ -376,16 +376,8 @@ class SlidingBand:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
         path = self._path(first, x, Y, moved, deviation, flow) if whole else None
-        return WindowOptimum(
-            self._reference[-1] + deviation[-self._n :],
-            gains.Y,
-            gains.precision,
-            cost / end,
-            dual / end,
-            (energy + noise) / end,
-            size,
-            path,
-        )
+        newest, energy = self._reference[-1] + deviation[-self._n :], (energy + noise) / end
+        return WindowOptimum(newest, gains.Y, gains.precision, cost / end, dual / end, energy, size, path)
 
     def _path(self, first: int, x: Array, Y: Array, moved: Array, deviation: Array, flow: GapFlow) -> OptimalTrajectory:
         """Return the optimum at all nodes, the window's start before them.

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -120,8 +121,18 @@ def test_nothing_that_small_moves_mend_says_so():
     slow = sd.Plant(np.zeros((2, 2)), np.eye(2), time_unit="s")
     one_alone = sd.PeriodicSchedule([2.0, 2.0], outputs=[[True, False]] * 2, time_unit="s")
     bench = ScheduleExplorer(slow, sd.Requirement(window=4.0, period=4.0), one_alone)
-    assert "observable from no sample" in bench.answer({"ask": "sigma"})["messages"][0]
+    assert "observable from no sample" in bench.answer({"ask": "sigma", "marks": marks(8.0, 20.0)})["messages"][0]
     assert bench.answer({"ask": "repair"})["said"] == "No small move of one sample repairs it: add one."
+
+
+def test_two_samples_of_the_first_hour_are_answered_as_the_page_says():
+    plant = sd.plants.plant_of_modes([24.0], [2.0], sensors=["blood"])
+    rule = sd.Requirement(window=24.0, period=24.0, samples=4, spacing=1.0, forbidden=[[0.0, 7.0], [22.0, 24.0]])
+    bench = ScheduleExplorer(plant, rule, sd.PeriodicSchedule([12.0, 12.0], 8.0, time_unit="h"))
+    assert "alias the modes ±0.261799i" in bench.answer({"ask": "sigma", "marks": marks(8.0, 20.0)})["messages"][0]
+    assert bench.answer({"ask": "repair"})["said"] == "No small move of one sample repairs it: add one."
+    page = (Path(__file__).parents[2] / "docs" / "first_hour.md").read_text()
+    assert "no move of one repairs it: a third is needed" in page
 
 
 def test_a_tolerance_that_is_not_kept_says_when():

@@ -69,19 +69,13 @@ class CountProblem:
 
 
 def bounded(
-    plant: Plant,
-    requirement: Requirement,
-    samples: int,
-    budget: Budget = ENDLESS,
-    progress: Callable[[float], None] | None = None,
-    counted: Array | None = None,
+    problem: DesignProblem, budget: Budget = ENDLESS, progress: Callable[[float], None] | None = None
 ) -> CountProblem:
-    """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for, `counted`
-    what of its state counts.
+    """Relax and bound one count of samples.
 
     `progress` is called with a first bound, before smaller ones are sought.
     """
-    canon = canonical(pose(plant, requirement, samples, counted=counted))
+    canon = canonical(problem)
     placed = (relax_costly if canon.inside.is_costly else relax_placed)(
         canon.inside, seconds=budget.seconds_left(share=1 / 3)
     )

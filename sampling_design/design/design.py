@@ -230,6 +230,9 @@ class _DesignRun:
     def designed(self) -> Plant:
         return designed_plant(self.split)
 
+    def posed(self, samples: int) -> DesignProblem:
+        return pose(self.designed, self.requirement, samples, counted=counted_rows(self.split))
+
     def say(self, fraction: float, message: str) -> None:
         """Tell what is known of the count that is worked on, and what is done."""
         if self.progress:
@@ -244,8 +247,7 @@ class _DesignRun:
             return step()
         except DesignInterrupt as stop:
             self.interrupt()
-            found: Best = stop.best  # type: ignore[assignment]
-            return found
+            return stop.best  # type: ignore[return-value]
         except KeyboardInterrupt:
             self.interrupt()
             return step()
@@ -259,7 +261,7 @@ class _DesignRun:
         """Prove even spacing and say so: the first answer, before anything is solved."""
         self.sigma, self.bound = 0.0, np.inf
         if self.progress and not self.budget.over:
-            problem = pose(self.designed, self.requirement, samples)
+            problem = self.posed(samples)
             times = even(problem, 0.5)
             if times is not None and is_admissible(problem, times):
                 self.sigma = self.proven(problem, times, problem.mask(times))[1].lower
@@ -273,10 +275,7 @@ class _DesignRun:
             self.say(fraction, f"bounding {samples} samples per period")
 
         self.guarded(lambda: self.begin(samples, fraction))
-        counted = counted_rows(self.split)
-        found = self.guarded(
-            lambda: bounded(self.designed, self.requirement, samples, self.budget, bounded_by, counted)
-        )
+        found = self.guarded(lambda: bounded(self.posed(samples), self.budget, bounded_by))
         self.bound = found.bound.value
         return found
 
@@ -290,7 +289,7 @@ class _DesignRun:
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
             if best is not None and sized is not None and self.budget.over:
-                canon = canonical(pose(self.designed, self.requirement, samples, counted=counted_rows(self.split)))
+                canon = canonical(self.posed(samples))
                 bounds[samples] = quick_bound(canon.inside, sized.relaxation).brought_back(canon)
                 continue
             sized = self.sized(samples, low)
@@ -312,10 +311,9 @@ class _DesignRun:
         if len(bounds) == 1:
             return best
         own = len(best.schedule or ())
-        others = {samples: bound for samples, bound in bounds.items() if samples != own}
+        rest = {samples: bound for samples, bound in bounds.items() if samples != own}
         top = max(bound.value for bound in bounds.values())
-        late = self.budget.over
-        return replace(best, upper_bound=top, other_counts=others, status=self.late if late else best.status)
+        return replace(best, upper_bound=top, other_counts=rest, status=self.late if self.budget.over else best.status)
 
     def searched(self, sized: CountProblem, low: float, high: float, known: float = 0.0) -> ScheduleDesign:
         """Search and prove where the bound is known already; none below a sigma that is `known` needs narrowing."""
@@ -327,7 +325,7 @@ class _DesignRun:
             self.sigma = max(self.sigma, sigma * size)
             self.say(low + fraction * (middle - low), "refining schedules")
 
-        def cutting(fraction: float, bound: float) -> None:
+        def cut_to(fraction: float, bound: float) -> None:
             self.bound = min(self.bound, bound * size)
             self.say(middle + fraction * (near - middle), "narrowing the bound")
 
@@ -346,11 +344,9 @@ class _DesignRun:
         bound, far = sized.inner, target * (1 + gap)
         if steps and bound.value > far:
             bound = self.guarded(lambda: gap_bounded(problem, sized.inner, target, self.budget))
-        by_gaps = bound
-        if by_gaps is sized.inner or by_gaps.value > far:
-            bound = self.guarded(
-                lambda: narrowed(problem, by_gaps, target, steps, self.budget, cutting, most=most, near=gap)
-            )
+        begun = bound
+        if begun is sized.inner or begun.value > far:
+            bound = self.guarded(lambda: narrowed(problem, begun, target, steps, self.budget, cut_to, most, gap))
         cut = bound
         bound = sized.bound if cut is sized.inner else self.guarded(lambda: cut.brought_back(sized.canon))
         time_left = not self.budget.over

@@ -251,8 +251,8 @@ def _bounds(design: ScheduleDesign, periods: int, every_period: bool, budget: Bu
             if every_period:
                 found = _fewer(design, required, budget, rng)
             else:
-                count = periods * len(schedule) - 1
-                found = bounded(plant, required, count, budget, counted=counted_rows(design.split)).bound.value
+                fewer = pose(plant, required, periods * len(schedule) - 1, counted=counted_rows(design.split))
+                found = bounded(fewer, budget).bound.value
             whole = pose(plant, required, periods * len(schedule), check=False)
             roomy = key is None and periods == 1 and whole.always_has_room  # else fewer may see more than the design
             known[key] = min(found, design.upper_bound) if roomy else found

@@ -31,7 +31,7 @@ FINER_CELLS = (1, 2, 4, 16)  # so many times more cells on each level than on th
 SUM_HELD = 8 * float(np.finfo(float).eps)  # relative error of a flow over a panel, for each state and panel before it
 REMEMBERED = 1024  # gaps that are kept
 AT_ONCE = 2**19
-"""Numbers along the panels of a gap that are made at once: what a cache does not hold costs up to ten times as much,
+"""Numbers along the panels of a gap that are made at once: what a cache does not hold costs over twice as much,
 where a fast mode asks for thousands of panels."""
 
 GROWN = 1e70  # growth over a period beyond which sizes are not followed: its square is a number still, in any units

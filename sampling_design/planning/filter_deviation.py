@@ -25,6 +25,9 @@ from sampling_design.records.budget import Budget
 WIDE = 1e4  # covariance at the start of a filter that knows nothing, where a well measured state has size one
 SETTLED = 1e-9  # relative change of the largest variance over a period at which it counts as its limit
 PERIODS = 400  # periods that are followed, at most
+LOOKS = 2  # of these, that are followed step by step at least: the last one is looked at, and what it differs by
+SPARSE = 4  # steps for each sample of a period from which on it is followed from sample to sample at first
+GROWN = 1e60  # growth of a state over a period up to which it is
 TANGENT_PERIODS = 40  # the same for a tangent, whose steps are kept
 BEYOND = 1e120  # a covariance that is larger is as good as infinite
 ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more periods are followed
@@ -59,12 +62,11 @@ class GridFilter:
     def variances(self, chosen: Mask) -> tuple[Array, Array]:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
         n, (B, M, p) = self.discrete.n, chosen.shape
-        P = np.tile(np.eye(n) * WIDE, (B, 1, 1))
+        P, lost, periods = self._from_sample_to_sample(chosen)
         read = [[(j, chosen[:, i, j]) for j in range(p) if chosen[:, i, j].any()] for i in range(M)]
-        lost = np.zeros(B, dtype=bool)
         before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
         last = np.full((B, len(self.rows)), np.inf)
-        for _ in range(PERIODS):
+        for _ in range(periods, PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
             for i in range(M):
                 P = propagate(P, self.F, self.Q)
@@ -84,6 +86,35 @@ class GridFilter:
             last = now
         before[:, lost], after[:, lost] = BEYOND, BEYOND
         return np.moveaxis(before, 0, 2), np.moveaxis(after, 0, 2)
+
+    def _from_sample_to_sample(self, chosen: Mask) -> tuple[Array, Mask, int]:
+        """Covariances (B, n, n) after a period like the one before it, which are lost, and the periods that it took.
+
+        Of nothing known, after no period, where samples are many or states grow by very much over a period.
+        """
+        (B, M, _), n = chosen.shape, self.discrete.n
+        P, lost, sampled = np.tile(np.eye(n) * WIDE, (B, 1, 1)), np.zeros(B, dtype=bool), chosen.any(axis=2)
+        K = int(sampled.sum(axis=1).max(initial=0))
+        if SPARSE * K > M or not K or np.abs(np.linalg.eigvals(self.F)).max(initial=0.0) ** M > GROWN:
+            return P, lost, 0
+        order = np.argsort(~sampled, axis=1, kind="stable")[:, :K]
+        at = np.where(np.take_along_axis(sampled, order, axis=1), order, M - 1)  # what is not sampled: nothing is read
+        read, gaps = np.take_along_axis(chosen, order[:, :, None], axis=1), np.diff(at, prepend=-1)
+        last = np.full((B, n), np.inf)
+        for period in range(PERIODS - LOOKS):
+            self.work.add((K * FILTER[0], FILTER[1]), B * K * n)
+            for k in range(K):
+                P = self.after(P, gaps[:, k])
+                far = np.abs(P).max(axis=(1, 2)) > BEYOND
+                lost |= far
+                P[far] = 0.0
+                P = self.measured(P, read[:, k])
+            P = self.after(P, M - 1 - at[:, -1])
+            now = np.diagonal(P, axis1=1, axis2=2)
+            if np.all(np.abs(now - last) <= SETTLED * now):
+                return P, lost, period + 1
+            last = now
+        return P, lost, PERIODS - LOOKS
 
     def beyond(self, at: Index, read: Mask, level: float) -> Mask:
         """Which choices leave a goal above a level: samples at the steps `at` (B, k) that `read` (B, k, p).

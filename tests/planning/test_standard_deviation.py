@@ -9,7 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
-from sampling_design.planning import sequence_deviation
+from sampling_design.planning import filter_deviation, sequence_deviation
 from sampling_design.planning.accuracy_oracle import AccuracyOracle, detecting_measurements, narrowed
 from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringRows
@@ -30,6 +30,7 @@ from sampling_design.planning.plan_record import deviation_of, without_limits
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of, proven_plan
 from sampling_design.planning.search import PlanSearch
+from tests.cases import few
 from tests.oracles import planning as oracle
 
 OSCILLATOR = sd.Plant(
@@ -423,3 +424,28 @@ def test_what_noise_reaches_comes_first():
         assert (V.T @ T @ N)[r:] == pytest.approx(np.zeros((n - r, 2)), abs=1e-9)
         sizes.add(n - r)
     assert {0, 1, 2} <= sizes
+
+
+@pytest.mark.parametrize("seed", few(range(8), 0, 3))
+def test_from_sample_to_sample_variances_are_those_step_by_step(seed, monkeypatch):
+    """Of modes that grow where nothing shows them, too, and of choices with more and with fewer samples."""
+    rng, steps = np.random.default_rng(seed), 24
+    A, C = rng.standard_normal((3, 3)), rng.standard_normal((2, 3))
+    A -= (float(np.linalg.eigvals(A).real.max()) - rng.uniform(-0.2, 0.2)) * np.eye(3)
+    C[0] *= seed % 2  # a sensor that shows nothing
+    sensors = {f"y{j}": {"noise_deviation": 0.1} for j in (1, 2)}
+    tolerances = {f"x{i}": {"tolerance": 1.0, "kind": "standard deviation"} for i in (1, 2, 3)}
+    asked = sd.PlanRequirement(tolerances, period=4.8, grid=0.2, w_intensity=0.1, sensors=sensors)
+    problem = pose_plan(sd.Plant(A, C), asked)
+    chosen = np.zeros((12, steps, 2), dtype=bool)
+    for choice in chosen[:-1]:
+        choice[rng.choice(steps, 1 + rng.integers(5), replace=False)] = rng.random(2) < [0.9, 0.6]
+    found = []
+    for sparse in (filter_deviation.SPARSE, steps + 1):
+        monkeypatch.setattr(filter_deviation, "SPARSE", sparse)
+        grid_filter = GridFilter(problem, discretize(problem))
+        found.append((*grid_filter.variances(chosen), grid_filter.work.spent))
+    (before, after, quick), (plain_before, plain_after, slow) = found
+    np.testing.assert_allclose(before, plain_before, rtol=1e-7)
+    np.testing.assert_allclose(after, plain_after, rtol=1e-7)
+    assert quick < slow

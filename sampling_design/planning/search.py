@@ -60,6 +60,8 @@ class PlanSearch:
         """Choices that are judged before any other."""
         self.undetected_at: list[Mask] = []
         """Where a choice must measure once at least, or it hides a trajectory that never decays."""
+        self.too_many = np.inf, np.inf
+        """A level and a cost below which more choices are open than can be judged: so are they of larger ones."""
         self.refused: list[Mask] = []
         """Choices that were judged to keep a level and are not proven to: neither they nor parts of them are sought."""
 
@@ -429,7 +431,11 @@ class PlanSearch:
         grid_filter = self.oracle.grid_filter
         if grid_filter is None or not self.stochastic or below == np.inf:
             return None
+        if level >= self.too_many[0] and below >= self.too_many[1]:
+            return None
         trials = open_choices(self.covering, grid_filter, level, below)
+        if trials is None and not self.oracle.work.over:
+            self.too_many = level, below
         if not trials:
             return None if trials is None else (None, True)
         worst = grid_filter.worst(np.array(trials)).max(axis=1)

@@ -10,6 +10,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
 from sampling_design.planning import filter_deviation, sequence_deviation
+from sampling_design.planning import search as plan_search
 from sampling_design.planning.accuracy_oracle import AccuracyOracle, detecting_measurements, narrowed
 from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringRows
@@ -449,3 +450,12 @@ def test_from_sample_to_sample_variances_are_those_step_by_step(seed, monkeypatc
     np.testing.assert_allclose(before, plain_before, rtol=1e-7)
     np.testing.assert_allclose(after, plain_after, rtol=1e-7)
     assert quick < slow
+
+
+def test_what_is_too_much_to_be_judged_one_by_one_is_gone_through_once(found, monkeypatch):
+    """More choices are open at a larger level, and below a larger cost; fewer at smaller ones, which are asked anew."""
+    search, asked = PlanSearch(found.problem, AccuracyOracle(found.problem, discretize(found.problem))), []
+    monkeypatch.setattr(plan_search, "open_choices", lambda *of: asked.append(of[2:]))
+    for level, below in ((1.0, 5.0), (1.0, 5.0), (1.2, 6.0), (0.9, 5.0), (1.0, 5.0), (1.0, 4.0)):
+        assert search._one_by_one(level, below) is None
+    assert asked == [(1.0, 5.0), (0.9, 5.0), (1.0, 4.0)]

@@ -105,7 +105,7 @@ class ConeWindow:
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, K * n)
         self._exact_at = [table.add(np.zeros(int(s.exact.sum())), (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
         if lasting is not None:
-            lasting.begin(table, before, np.linalg.inv(system.D[:, None] * system.L[self.nodes[0]]))
+            lasting.begin(table, before, np.linalg.inv(system.L[self.nodes[0]]) / system.D)
         table.end("zero")
         if lasting is None:
             self.start.pose(table, ball=False)

@@ -61,7 +61,7 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) 
     everything = DetectablePart(plant, np.eye(plant.n_states), np.zeros((plant.n_states, 0)), ())
     if not plant.n_states:
         return everything
-    d = _scales(plant, period)
+    d = output_scales(plant, period)
     A, C = plant.A * d / d[:, None], plant.C * d
     size = np.linalg.norm(C, axis=1, keepdims=True)
     C = C / np.where(size > 0, size, 1.0)
@@ -138,7 +138,7 @@ def open_modes(A: Array, U: Array) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _scales(plant: Plant, period: float) -> Array:
+def output_scales(plant: Plant, period: float) -> Array:
     """One over what the outputs show of each state over as many periods as there are states: units play no part.
 
     At any time, since what the samples alone hide must not look small.

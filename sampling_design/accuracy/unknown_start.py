@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.undetectable import unobservable_directions
+from sampling_design.accuracy.undetectable import output_scales, unobservable_directions
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.grouping import balanced_schur
@@ -53,7 +53,9 @@ class LastingResponses:
     @classmethod
     def of(cls, plant: Plant, bounds: SignalBounds) -> LastingResponses:
         """Return those of a plant."""
-        scale = balanced_schur(plant.A).d
+        balance = balanced_schur(plant.A).d
+        rate = float(np.linalg.norm(plant.A * balance / balance[:, None], 2))
+        scale = output_scales(plant, 1 / rate if rate > 0 else 1.0)
         A, n = plant.A * scale / scale[:, None], plant.n_states
         G, C = plant.G * bounds.w / scale[:, None], plant.C * scale
         size, v, undriven = float(np.linalg.norm(A, 2)), bounds.v.min(axis=0), False

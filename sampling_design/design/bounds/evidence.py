@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -113,7 +114,7 @@ class BoundPart:
         if self.method == "gaps":
             return gap_bound(problem, self.starts, Z, self.tilt, counted / sizes.sum())
         share = float(counted.sum() / sizes.sum())
-        return self._of_all_states(problem, roots, Z) / np.sqrt(share) if share > 0 else np.inf
+        return self._of_all_states(problem, roots, Z) / math.sqrt(share) if share > 0 else np.inf
 
     def _of_all_states(self, problem: DesignProblem, roots: Array, Z: Array) -> float:
         """The bound on the least |O x| over |x|, all entries of x, from multipliers that are no `gaps`."""

@@ -288,17 +288,14 @@ class EstimatorState(NamedTuple):
                 total = own if total is table.no_drift else total + own
         return total
 
-    def grown(self, node: HistoryNode, memory: float, least: int) -> EstimatorState:
-        """Return the state after one more node, without what its `reached` was.
-
-        Dropped is what lies further back than `memory` and than `least` nodes, save the last node and input before.
-        """
-        nodes, inputs, first = (*self.nodes, node), self.inputs, 0
-        oldest, most = node.t - memory, len(nodes) - 1 - least
+    def trimmed(self, memory: float, least: int = 0) -> EstimatorState:
+        """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
+        nodes, inputs, first = self.nodes, self.inputs, 0
+        oldest, most = nodes[-1].t - memory, len(nodes) - 1 - least
         while first < most and nodes[first + 1].t <= oldest:  # most often one
             first += 1
         if not first:
-            return EstimatorState(nodes, inputs)
+            return self
         nodes = nodes[first:]
         if inputs is NO_INPUTS:
             return EstimatorState(nodes)

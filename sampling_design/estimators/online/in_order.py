@@ -134,7 +134,9 @@ class OnlineEstimator(Displayable, ABC):
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
             node = self._advance(state, self._resolved(state, checked))
-            state = self._settled(state.grown(node, self.memory, self.remembered))
+            # what is settled may rest on more than is kept after it
+            state = self._settled(EstimatorState((*state.nodes, node), state.inputs))
+            state = state.trimmed(self.memory, self.remembered)
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
 
@@ -176,8 +178,8 @@ class OnlineEstimator(Displayable, ABC):
         for item in [*first, *later]:
             node = self._advance(replayed, self._resolved(replayed, item))
             node = node._replace(until=replayed.last.until) if replayed.last.until >= node.t else node
-            replayed = replayed.grown(node, self.memory, self.remembered)
-        replayed = self._settled(replayed)
+            replayed = EstimatorState((*replayed.nodes, node), state.inputs)
+        replayed = self._settled(replayed).trimmed(self.memory, self.remembered)
         old, new = state.last.branch, replayed.last.branch
         if (
             not (taken or forced)

@@ -117,8 +117,10 @@ class Recorder:
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)
-        number = last.number + 1  # by place: by name it takes twice as long
-        return HistoryNode(*new, x, Y, beta, scheduled, sound, estimate, number, size, loose, limited, branch)
+        return HistoryNode(
+            *new, x, Y, beta, scheduled, sound, estimate,
+            number=last.number + 1, held=size, loose=loose, limited=limited, branch=branch,
+        )  # fmt: skip
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
         """Return the estimate at t, open loop from the node with the number `at`."""

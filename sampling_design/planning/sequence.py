@@ -382,8 +382,12 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
     found = {} if plan.deviation is None else sequence_filter(plan).at(history, t)
     if plan.accuracy is not None:
         exact = history if not history.begins else replace(history, late=ON_TIME, known_sides=np.zeros((0, 2, 1)))
-        bounds = _bounds_at(plan, exact, t, limited=False)
-        if history.begins and history.late:  # a start of any size is not followed through samples that may be late
+        limited = history.begins and bool(history.late)  # samples that may be late do not show a start of any size
+        try:
+            bounds = _bounds_at(plan, exact, t, limited=False)
+        except UndecidedError:  # nor can doubles follow one beside which the rest fades
+            bounds, limited = dict.fromkeys((goal.name for goal in plan.goals), 0.0), True
+        if limited:
             known = _bounds_at(plan, history, t, limited=True)
             bounds = {name: value if np.isinf(value) else known[name] for name, value in bounds.items()}
         found |= bounds

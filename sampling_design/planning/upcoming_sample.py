@@ -75,7 +75,8 @@ class NextSample(Record):
     exceeded : GoalDeadline or None
         The goal that is above its tolerance now, since which look on the grid without a break, and how far.
     known : dict of str to float
-        How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
+        How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation. From a start of
+        which nothing is known: infinite where none of its errors shows, or for errors as of `PlanStart.bounded`.
     judged_until : float
         The first closed day with a sample of the plan that is too far ahead to be judged; inf if there is none.
     complete : bool

@@ -305,3 +305,22 @@ def test_no_time_is_said_to_be_soon_enough_before_which_a_sample_breaks_a_tolera
     word = "at" if breaks or spacing else "by"
     assert found.explain().startswith(f"Next sample {word} {found.latest:g} ")
     assert "by looks on the grid alone: between its times nothing is proven." in found.explain()
+
+
+@pytest.mark.parametrize(("fast", "hour"), few([((-3.0, -2.0), 2), ((-3.0, -0.3), 2), ((-2.0, -0.5, -0.2), 0)], 0, 2))
+def test_a_start_that_fades_before_samples_show_it_leaves_what_a_known_one_leaves(fast, hour):
+    """Doubles cannot say what modes leave of a start of any size that have decayed by e^-32; of it nothing is left."""
+    plant = sd.Plant(np.diag([-0.02, *fast]) + 0.1 * np.eye(len(fast) + 1, k=1), np.eye(1, len(fast) + 1))
+    known = {}
+    for error in (None, 1e-3):
+        wanted = sd.PlanRequirement(
+            {"x1": 2.0}, grid=4.0, period=24.0, w_bound=0.03, initial_error=error, sensors={"y1": {"noise_bound": 0.5}}
+        )
+        problem = pose_plan(plant, wanted)
+        chosen = np.zeros_like(problem.allowed)
+        chosen[hour] = True
+        plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+        found = sd.next_sample(plan, now=400.0, prove=error is None)
+        assert found.latest > 400.0
+        known[error] = found.known["x1"]
+    assert known[None] == pytest.approx(known[1e-3], rel=1e-3)

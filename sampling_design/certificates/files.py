@@ -58,6 +58,16 @@ def read_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
         not fit (some byte was altered).
     CertificateError
         If it certifies another plant.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from sampling_design import PeriodicSchedule, certify
+    >>> made = certify(Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0]), eta=0.5, P2=[[1.0]])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     found = read_certificate(made.save(pathlib.Path(folder) / "certificate.json"))
+    >>> found.lam == made.lam, found.verify().passed
+    (True, True)
     """
     where = os.fspath(path)
     data = file_io.from_json(file_io.read_text(where), where)

@@ -72,7 +72,7 @@ def design_schedule(
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> ScheduleDesign:
-    """Design an endless periodic schedule whose worst window sees the state as well as possible.
+    """Design an endless periodic schedule whose worst window shows the state as well as possible.
 
         maximise over schedules   inf over real t of sigma_n(rows C e^{A (tau - (t - T))}, tau in [t - T, t])
 
@@ -82,14 +82,13 @@ def design_schedule(
     requirement : Requirement, optional
         What is left out is filled in from the plant's modes and reported in `defaults_used`.
     of : str, sequence of str, or (k, n) array, optional
-        Rows of the state that must be seen, instead of `requirement.of`. Default: those.
+        Rows of the state that must be observable, instead of `requirement.of`. Default: those.
     starts : int
         Starts that are refined, beside the even and the rounded ones.
     branches : int, optional
-        Boxes of schedules that are cut in two to narrow the upper bound, where it is not more samples than that;
-        0 keeps the plain relaxations' bound. More cuts, a narrower bound, at a cost that grows with
-        them. Default: until the gap is at most 3 %, with 20 cuts, or up to 150 as long as it falls (of more than eight
-        states fewer, each of which takes longer).
+        How often a box of schedules is cut in two to narrow the upper bound; 0 keeps that of the relaxations alone.
+        Default: until the gap is at most 3 %, with 20 cuts, or up to 150 as long as it falls (fewer beyond eight
+        states, where each takes longer).
     rtol : float
         Width of the bracket that proves sigma.
     rng : numpy.random.Generator or its seed, optional

@@ -160,7 +160,9 @@ def pareto_front(
     progress: Progress | None = None,
     **options: object,
 ) -> ParetoFront:
-    """Design a schedule for every count of samples per period.
+    """Design a schedule for every count of samples per period: what more samples buy.
+
+        k -> (sigma_k, bound_k),    sigma_k <= sup of sigma over schedules with k samples <= bound_k
 
     Parameters
     ----------
@@ -193,6 +195,17 @@ def pareto_front(
         If there is no count, or `workers` is none of the above.
     FileFormatError
         If `resume` belongs to another plant, requirement or option.
+
+    Notes
+    -----
+    *Claim.* That of `design_schedule`, for each count; one that no schedule keeps has its `obstacle`.
+
+    Examples
+    --------
+    >>> wanted = Requirement(window=4.0, spacing=0.5)
+    >>> front = pareto_front(Plant([[0.0]], [[1.0]]), wanted, [1, 4], starts=1, branches=0)
+    >>> [(each.samples, round(each.sigma, 6)) for each in front]
+    [(1, 1.0), (4, 2.0)]
     """
     wanted = sorted({checks.whole("counts", c, 1) for c in counts})
     if not wanted:

@@ -111,6 +111,18 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     ------
     FileFormatError
         If the file is missing, cut off, of another format, or says better figures than its own schedule gives.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from sampling_design import Plant, PlanRequirement, plan_samples
+    >>> plant, gauge = Plant([[0.0]], [[1.0]], time_unit="h"), {"y1": {"noise_bound": 0.1}}
+    >>> wanted = PlanRequirement({"x1": 0.4}, period=2.0, grid=1.0, w_bound=0.1, sensors=gauge)
+    >>> plan = plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     found = read_plan(pathlib.Path(plan.save(folder)) / "plan.json")
+    >>> found.cost, found.keeps
+    (1.0, True)
     """
     where = os.fspath(path)
     data = from_json(read_text(where), where)

@@ -312,6 +312,16 @@ def next_sample(
     References
     ----------
     Heemels, Johansson and Tabuada, An introduction to event-triggered and self-triggered control (2012).
+
+    Examples
+    --------
+    >>> from sampling_design import Plant, PlanRequirement, plan_samples
+    >>> plant, gauge = Plant([[0.0]], [[1.0]], time_unit="h"), {"y1": {"noise_bound": 0.1}}
+    >>> wanted = PlanRequirement({"x1": 0.6}, period=4.0, grid=1.0, w_bound=0.1, sensors=gauge)
+    >>> plan = plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
+    >>> found = next_sample(plan, now=5.0)
+    >>> found.latest, found.outputs, found.proven
+    (8.0, ('y1',), True)
     """
     if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")

@@ -193,10 +193,11 @@ def matrix(name: str, value: object, rows: int | None = None, columns: int | Non
     Raises ArgumentError if the shape differs, or as in `real_array`.
     """
     array = real_array(name, value, 2)
-    expected = (array.shape[0] if rows is None else rows, array.shape[1] if columns is None else columns)
-    if array.shape != expected:
-        slip = " Did you pass the transpose?" if array.shape == expected[::-1] else ""
-        raise ArgumentError(f"`{name}` must have shape {expected}, got {array.shape}.{slip}")
+    wanted = array.shape[0] if rows is None else rows, array.shape[1] if columns is None else columns
+    turned = array.shape[1] if rows is None else rows, array.shape[0] if columns is None else columns
+    if array.shape != wanted:
+        slip = " Did you pass the transpose?" if array.shape == turned[::-1] else ""
+        raise ArgumentError(f"`{name}` must have shape {turned if slip else wanted}, got {array.shape}.{slip}")
     return array
 
 

@@ -294,7 +294,7 @@ def _exchanged(
     asked, names = dict(places), list(inspect.signature(function).parameters)
     for place in range(len(given)):
         check = asked.get(place)
-        if place == failed or not fits(asked[failed], given[place]):
+        if place == failed or names[place] == "self" or not fits(asked[failed], given[place]):
             continue
         if fits(check, given[place]) and (check is None or not fits(check, given[failed])):
             continue

@@ -139,6 +139,16 @@ def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
     FileFormatError
         If the file is missing, cut off, not of this format, has no time unit, an unknown key, or a row that
         does not fit; the message names the line.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from sampling_design import PeriodicSchedule
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_schedule(PeriodicSchedule([2.0, 1.0], time_unit="h"), pathlib.Path(folder) / "times.csv")
+    ...     found = read_schedule(path)
+    >>> found.times, found.period
+    (array([2., 3.]), 3.0)
     """
     where = os.fspath(path)
     if Path(path).suffix and not Path(path).exists():

@@ -193,7 +193,7 @@ def compare_schedule(
     ----------
     plant : Plant
     schedule : Schedule or PeriodicSchedule
-        The plan.
+        What was planned; of a `Plan` its `.schedule`.
     times : (N,) array [time]
         When samples were taken, in order.
     window : float [time]

@@ -32,6 +32,7 @@ from tests.cases import few
 from tests.front_door import DOORS
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+MEASURED = [*inspect.signature(sd.Measurements).parameters][:3]
 GAPS = sd.PeriodicSchedule([0.7, 1.6, 0.9])
 
 
@@ -127,7 +128,10 @@ def test_a_door_leaves_name_signature_and_module():
         (lambda: sd.KalmanFilter(OSCILLATOR).predict(), "`KalmanFilter.predict` needs `t`"),
         (lambda: GAPS.plot(axes=3), "`plot` of a PeriodicSchedule has no argument `axes`. Did you mean 'ax'"),
         (lambda: OSCILLATOR.transition(), "`Plant.transition` needs `t`"),
-        (lambda: sd.KalmanFilter.run(None, [1.0], [[0.1]]), r"takes 1 argument by place \(record\), got 2"),
+        (
+            lambda: sd.KalmanFilter(OSCILLATOR).run([1.0], [[0.1]]),
+            rf"takes 1 argument by place \(record\), got 2.* record: Measurements\({', '.join(MEASURED)}\)\.",
+        ),
         (lambda: sd.Plant.from_control(), "`Plant.from_control` needs `system`"),
     ],
 )
@@ -450,6 +454,11 @@ def test_arguments_in_each_others_place_are_named(share):
         with pytest.raises((ArgumentError, CallError)) as other:
             thing(plant, *(valid[each] for each in between[:-1]), plant)
         assert "exchanged" not in str(other.value)
+
+
+def test_no_argument_of_a_method_is_exchanged_with_its_object():
+    with pytest.raises(ArgumentError, match=r"`other` must be a Measurements, got list \[1\.0\]\.$"):
+        sd.Measurements(OSCILLATOR, [0.0], [[0.5]]).merged([1.0])
 
 
 @pytest.mark.parametrize(

@@ -360,10 +360,25 @@ def latest_samples(end: float, gap: float) -> Array:
 class Certificate(SampledCertificate):
     """The certificate of one schedule; a finite one is certified to its last time.
 
+        |Dx(t)|^2_{P1} <= e^{-eta t} |Dx(0)|^2_{P2} + int e^{-eta (t-s)} |Dw|^2_{Qw} ds
+                          + sum over samples of e^{-eta (t-tau)} (|Dy|^2_R + |Dv|^2_{Qv})
+
+    for any two trajectories. `certify` makes it, `verify()` proves it from its numbers, `save` writes it,
+    `read_certificate` reads it; `horizon()` is what an estimator needs.
+
     Attributes
     ----------
     schedule : Schedule or PeriodicSchedule
-        All others are those of `SampledCertificate`.
+        All others are those of `SampledCertificate`: P1, P2 (n, n), Qw (q, q), R, Qv (p, p), eta [1/time], lam, ...
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule holds no sample, or a weight has the wrong shape or is not positive definite.
+
+    References
+    ----------
+    The paper, Assumption 7, equation (16).
     """
 
     schedule: AnySchedule

@@ -73,6 +73,17 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     FileFormatError
         If the file is missing, cut off, of another format, has an unknown key, or holds a value that
         `Requirement` refuses; the message names the file.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> text = 'format = "sampling-design/requirement/1"\\nwindow = 4.0\\nsamples = 3'
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "wanted.toml"
+    ...     characters = path.write_text(text)
+    ...     found = read_requirement(path)
+    >>> found.window, found.samples
+    (4.0, {'exactly': 3})
     """
     return requirement_from_dict(read_tree(path), os.fspath(path))
 

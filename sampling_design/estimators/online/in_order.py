@@ -49,7 +49,7 @@ def few_intervals(rows: int, states: int) -> bool:
 class OnlineEstimator(Displayable, ABC):
     """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
 
-    _order: ClassVar[str] = "Times and values make one record: Measurements(times, y)."
+    _order: ClassVar[str] = "Times and values make one record: Measurements(plant, times, y)."
 
     plant: Plant
     weights: CostWeights

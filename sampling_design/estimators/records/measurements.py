@@ -388,6 +388,18 @@ def read_measurements(
         decimal commas and decimal points, or a frame's index counts its rows and nothing else says their times.
     ArgumentError
         If there is no zone of that name.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from sampling_design import Plant
+    >>> plant = Plant([[0.0]], [[1.0]], time_unit="h", outputs=["blood"])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "read.csv"
+    ...     characters = path.write_text("date,blood\\n2026-03-02 08:00,4.1\\n2026-03-02 20:15,3.8\\n")
+    ...     found = read_measurements(path, plant, zone="Europe/Berlin")
+    >>> found.times, found.y[:, 0]
+    (array([ 0.  , 12.25]), array([4.1, 3.8]))
     """
     where, lines = lines_of(path, plant)
     table = read_table(where, lines, plant, origin.isoformat() if isinstance(origin, date) else origin, zone)

@@ -41,7 +41,9 @@ _MOVED = ("A", "C", "G")
 
 @frozen
 class UncertainParameter(PlainRecord):
-    """A number that is only known to lie in a range, and how it enters a plant.
+    """A number p that is only known to lie in a range, and how it enters a plant.
+
+        A(p) = A + (p - nominal) A_p,    low <= p <= high;    likewise C and G
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ class UncertainParameter(PlainRecord):
     low, high : float
         low <= high.
     A : (n, n) array, C : (p, n) array, G : (n, q) array, optional
-        What a change of the parameter by 1 adds to the matrices of the plant; None: nothing.
+        A_p and its like: what a change of the parameter by 1 adds to the matrices of the plant; None: nothing.
     nominal : float, optional
         The value that the plant's own matrices stand for; default the middle of the range.
 
@@ -57,6 +59,11 @@ class UncertainParameter(PlainRecord):
     ------
     ArgumentError
         If the range is empty, the nominal value lies outside, or the parameter moves nothing.
+
+    Examples
+    --------
+    >>> UncertainParameter("sensor gain", 0.98, 1.02, C=[[1.0, 0.0]]).nominal
+    1.0
     """
 
     name: str

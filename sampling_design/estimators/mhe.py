@@ -71,7 +71,8 @@ class MovingHorizonEstimator(WindowedEstimator):
     certificate : Certificate, optional
         Brings weights, rate, horizon and the schedule for which they prove convergence.
     horizon : float, optional
-        M [time]. Default max(d_max, ln(4 lam)/eta), for the paper's cost max(d_max, 2 ln(4 lam_samples)/eta).
+        M [time]. Default max(d_max, ln(4 lam)/eta), for the paper's cost max(d_max, 2 ln(4 lam_samples)/eta). At most
+        240/eta is followed: what lies further back has no weight.
     cost : CostFunction, optional
         Weights and rate instead of the certificate's, the cost's form, and what the prior weighs.
     prior : (n,) array, optional

@@ -337,11 +337,17 @@ def filled(
     )
 
 
+def told_apart(times: Array) -> Array:
+    """Return the times, in order, that a picture tells apart: of many one for each short stretch that has some."""
+    if times.size <= 2 * COLUMNS:
+        return times
+    edges = np.linspace(times.min(), times.max(), COLUMNS + 1)
+    return np.asarray(times[np.unique(np.searchsorted(edges, times), return_index=True)[1]])
+
+
 def sample_ticks(ax: matplotlib.axes.Axes, times: Array) -> None:
-    """Ticks at the bottom where samples are: of many one for each short stretch of time that has some."""
-    if times.size > 2 * COLUMNS:
-        edges = np.linspace(times.min(), times.max(), COLUMNS + 1)
-        times = times[np.unique(np.searchsorted(edges, times), return_index=True)[1]]
+    """Ticks at the bottom where samples are."""
+    times = told_apart(times)
     ax.vlines(times, 0.0, 0.06, color=MEASURED, linewidth=0.8, transform=ax.get_xaxis_transform())
 
 

@@ -307,22 +307,23 @@ def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[
 
 def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, Array]]) -> Array:
     """States at the break points; a cell in which u changes is crossed in parts."""
-    states = np.empty((line.times.size, x.size))
+    plant, breaks, F, gamma = line.plant, line.times, line.F, line.gamma
+    edges, driven = breaks, None
+    if changes:
+        given = np.array([t for t, _ in changes])
+        edges = np.union1d(breaks, given[(given > breaks[0]) & (given < breaks[-1])])
+        F, both = exact_flow(plant, np.diff(edges), np.hstack([plant.G, plant.B]))
+        gamma, driven = np.split(both, [plant.G.shape[1]], axis=2)
+        u = np.array([input_at(changes, t, plant.n_inputs) for t in edges.tolist()])
+    states, cell = np.empty((breaks.size, x.size)), np.searchsorted(breaks, edges, side="right") - 1
     states[0] = x
-    for c in range(line.cells):
-        a, b = line.times[c], line.times[c + 1]
-        edges = [a, *(t for t, _ in changes if a < t < b), b]
-        lengths = np.diff(edges)
-        F, gamma = line.F[c : c + 1], line.gamma[c : c + 1]
-        if len(edges) > 2:
-            F, gamma = exact_flow(line.plant, lengths, line.plant.G)
-        driven = exact_flow(line.plant, lengths, line.plant.B)[1] if changes else None
-        with np.errstate(over="ignore", invalid="ignore"):
-            for k, left in enumerate(edges[:-1]):
-                x = F[k] @ x + gamma[k] @ w[c]
-                if driven is not None:
-                    x = x + driven[k] @ input_at(changes, left, line.plant.n_inputs)
-        states[c + 1] = checked_state(line, b, x)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, c in enumerate(cell[:-1].tolist()):
+            x = F[k] @ x + gamma[k] @ w[c]
+            if driven is not None:
+                x = x + driven[k] @ u[k]
+            if cell[k + 1] > c:
+                states[c + 1] = checked_state(line, breaks[c + 1], x)
     return states
 
 

@@ -116,6 +116,18 @@ def test_readings_of_a_long_record_keep_their_extremes_and_few_marks(count):
     assert ax.get_legend_handles_labels()[1] == ["measured" if count == 30 else "measured, least to largest"]
 
 
+@pytest.mark.parametrize("count", [30, 4000])
+def test_of_a_long_schedule_one_line_stands_for_each_stretch_that_has_a_sample(count):
+    times = np.sort(np.random.default_rng(2).uniform(0.0, 9.0, count))
+    drawn = [lines.get_segments() for lines in sd.PeriodicSchedule.from_times(times, 10.0).plot().collections]
+    assert [len(each) <= 2 * style.COLUMNS for each in drawn] == [True, True]
+    shown = np.array([segment[0, 0] for segment in drawn[0]])
+    assert set(shown) <= set(times)
+    stretch = (times[-1] - times[0]) / style.COLUMNS
+    assert count > 30 or shown.size == count
+    assert all(np.abs(shown - t).min() <= stretch * (count > 30) for t in times)
+
+
 def test_estimates_of_a_long_record_are_drawn_as_extremes():
     n = 700
     found, times, x, radii = envelope(n)

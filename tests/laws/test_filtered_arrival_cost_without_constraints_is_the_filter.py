@@ -85,3 +85,15 @@ def test_smoothed_ellipsoids_hold_the_whole_past(eta):
     filtered = KalmanFilter(plant, cost=CostFunction(eta=eta), **BOUNDS).run(rows)
     own = np.exp(eta * (t - found.times)) * np.trace(filtered.covariance, axis1=1, axis2=2)
     assert np.all(variances <= own * (1 + 1e-9))
+
+
+@pytest.mark.parametrize("arrival", ["fixed", "filtered"])
+def test_a_horizon_whose_beginning_has_no_weight_is_the_filter_too(arrival):
+    plant = Plant([[0.0, 1.0], [-1.0, 0.1]], [[1.0, 0.0]])
+    rng = np.random.default_rng(3)
+    rows = [(float(t), rng.normal(size=1)) for t in np.cumsum(rng.uniform(0.5, 1.5, 60))]
+    mhe = MovingHorizonEstimator(plant, horizon=1e9, cost=CostFunction(eta=8.0, arrival=arrival))
+    assert mhe.horizon == 240.0 / 8.0 < rows[-1][0] / 1.9
+    found, filtered = mhe.run(rows), KalmanFilter(plant, cost=CostFunction(eta=8.0)).run(rows)
+    np.testing.assert_allclose(found.x, filtered.x, rtol=0, atol=1e-9 * np.abs(filtered.x).max())
+    np.testing.assert_allclose(found.covariance, filtered.covariance, rtol=1e-9, atol=1e-9)

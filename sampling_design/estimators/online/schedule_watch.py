@@ -20,14 +20,19 @@ from sampling_design.schedules.family import AnySchedule, Leeway, SamplingFamily
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
+WEIGHTLESS = 240.0
+"""Exponent of the discount beyond which a horizon is not followed: no digit of an estimate shows a weight of e^-240.
+Windows that slide hold discounts up to e^300 (`WIDEST` of `window/sliding.py`); longer ones are solved anew."""
+
 
 def choose_horizon(
     certificate: SampledCertificate | None, horizon: float | None, cost: CostFunction, theorem: str
 ) -> tuple[float, str]:
     """Return the horizon and, in words, why there is no a-priori claim ("" if there is one).
 
-    With the paper's cost M must exceed the lesser of two: the paper's theorem asks 4 lam_samples^2 e^{-eta M} < 1, the
-    sharper one 2 lam e^{-eta M} < 1. Raises ArgumentError if there is neither a certificate nor a horizon.
+    A discounted horizon reaches back to `WEIGHTLESS` at most. With the paper's cost M must exceed the lesser of two:
+    the paper's theorem asks 4 lam_samples^2 e^{-eta M} < 1, the sharper one 2 lam e^{-eta M} < 1. Raises ArgumentError
+    if there is neither a certificate nor a horizon.
 
     Parameters
     ----------
@@ -47,9 +52,10 @@ def choose_horizon(
     if certificate is None:
         if horizon is None:
             raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
-        return checks.positive("horizon", horizon), "No a-priori claim: no certificate was given."
+        return _followed(checks.positive("horizon", horizon), cost.eta), "No a-priori claim: no certificate was given."
     own = certificate.horizon(theorem)
     length = own.length if horizon is None else checks.positive("horizon", horizon)
+    length = _followed(length, certificate.eta if cost.eta is None else cost.eta)
     differ = [key for key in cost.given if not np.array_equal(getattr(cost, key), getattr(certificate, key))]
     if differ:
         return length, f"No a-priori claim: {', '.join(differ)} differ from the certificate's."
@@ -61,6 +67,11 @@ def choose_horizon(
     note = f"No a-priori claim: the horizon {length:.6g} must exceed {least:.6g} for this certificate."
     warnings.warn(note, GuaranteeWarning, stacklevel=4)
     return length, note
+
+
+def _followed(horizon: float, eta: float | None) -> float:
+    """The part of a horizon whose beginning has a weight."""
+    return min(horizon, WEIGHTLESS / eta) if eta else horizon
 
 
 ROUNDINGS = 4.0

@@ -110,6 +110,8 @@ class _DateConverter:
         last = first if not until else (self.date if dated else self.time)(line, until)
         if dated and (day := dates.day_in(end)) is not None:
             last = self.since(line, end, datetime.combine(day + timedelta(days=1), time()))
+        if first == last:  # as most often
+            return first, None
         try:
             return time_or_span((first, last))
         except ArgumentError:

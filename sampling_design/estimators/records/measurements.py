@@ -286,20 +286,22 @@ class Measurements(ListRecord[MeasuredRow]):
             u=np.concatenate([self.u, other.u]),
             censored=(*self.censored, *other.censored),
         ).in_order()
-        y, u, censored = np.array(both.y), np.array(both.u), list(both.censored)
-        kept = np.concatenate([[True], np.diff(both.times) > 0])[: len(both)]
-        for k in np.flatnonzero(~kept):
-            at = int(np.flatnonzero(kept[:k])[-1])
-            censored[at] = tuple(dict.fromkeys((*censored[at], *censored[k])))
-            for table in (y, u):
-                known = np.isfinite(table[at]) & np.isfinite(table[k])
-                if np.any(table[at, known] != table[k, known]):
-                    raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
-                table[at] = np.where(known, table[at], np.fmax(table[at], table[k]))
-            outputs = [each.output for each in censored[at]]
-            if len(set(outputs)) < len(outputs) or np.isfinite(y[at, outputs]).any():
-                raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
-        return replace(both, y=y, u=u, censored=tuple(censored))._of_rows(np.flatnonzero(kept))
+        begins = np.concatenate([[True], np.diff(both.times) > 0])[: len(both)]
+        rows, place = np.flatnonzero(begins), np.cumsum(begins) - 1
+        (y, torn), (u, torn_inputs) = (_agreed(table, rows) for table in (both.y, both.u))
+        torn |= torn_inputs
+        censored: list[tuple[CensoredReading, ...]] = [()] * rows.size
+        for at, row in zip(place.tolist(), both.censored, strict=True):
+            if row:
+                censored[at] = tuple(dict.fromkeys((*censored[at], *row)))
+        for at in np.flatnonzero(np.bincount(place) > 1).tolist():
+            if censored[at]:
+                outputs = [each.output for each in censored[at]]
+                torn[at] |= len(set(outputs)) < len(outputs) or np.isfinite(y[at, outputs]).any()
+        if torn.any():
+            at = float(both.times[rows[np.argmax(torn)]])
+            raise ArgumentError(f"`other` contradicts these measurements at {at!r}.")
+        return replace(both, times=both.times[rows], y=y, u=u, censored=tuple(censored))
 
     def _entries(self) -> list[MeasuredRow]:
         return list(self)
@@ -447,6 +449,14 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
                 begun[each.output] = cell_of(each.since)
         body.append([*when[: len(stamps)], *cells, *begun.values(), *(cell_of(v) for v in u)])
     return write_csv(path, header, body)
+
+
+def _agreed(table: Array, rows: Index) -> tuple[Array, Mask]:
+    """What rows of one time, the first of each in `rows`, say together, and where they contradict each other."""
+    if not rows.size:
+        return table, np.zeros(0, dtype=bool)
+    least, largest = (end.reduceat(table, rows) for end in (np.fmin, np.fmax))
+    return largest, np.asarray((least < largest).any(axis=1))
 
 
 def _signals(plant: MeasuredPlant) -> tuple[object, ...]:

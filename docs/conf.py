@@ -18,7 +18,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 import house_pages  # noqa: E402
 import kernels  # noqa: E402
 import make_pages  # noqa: E402
-from lost_pictures import lost_pictures  # noqa: E402
+from lost_pictures import lost_pictures, silent_cells  # noqa: E402
 from proven_pages import collect, open_certificates  # noqa: E402
 from sphinx.errors import ExtensionError  # noqa: E402
 
@@ -156,8 +156,8 @@ def escape_mathematics(app, what, name, obj, options, lines):
             lines[i] = house_pages.linked(_norms_are_no_substitutions(line), LABELS)
 
 
-def every_picture_is_there(app, exception):
-    """Fail the build where a page that draws shows nothing."""
+def every_output_is_there(app, exception):
+    """Fail the build where a page that draws, or a cell that prints, shows nothing."""
     if exception is not None or app.builder.format != "html" or os.environ.get("DOCS_FAST"):
         return
     pages = {page: Path(app.env.doc2path(page)) for page in app.env.found_docs}
@@ -165,6 +165,10 @@ def every_picture_is_there(app, exception):
     if lost:
         told = ", ".join(f"{page} ({found} of {wanted})" for page, (wanted, found) in sorted(lost.items()))
         raise ExtensionError(f"pictures are missing on {told}: was a matplotlib backend set for the notebooks?")
+    built = [Path(app.outdir) / f"{page}.html" for page in pages]
+    silent = [f"{page.stem}: {cell}" for page in built for cell in silent_cells(page.read_text())]
+    if silent:
+        raise ExtensionError("cells print nothing: " + "; ".join(silent))
 
 
 def every_certificate_is_proven(app, exception):
@@ -193,6 +197,6 @@ def setup(app):
     make_pages.write_all(HERE)
     app.connect("html-page-context", searches_show_words)
     app.connect("html-page-context", lectures_run)
-    app.connect("build-finished", every_picture_is_there)
+    app.connect("build-finished", every_output_is_there)
     app.connect("build-finished", every_certificate_is_proven)
     app.connect("autodoc-process-docstring", escape_mathematics, priority=100)

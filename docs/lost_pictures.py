@@ -1,5 +1,6 @@
-"""Which pages draw something when they are executed, and show less than that."""
+"""Which pages draw or print something when they are executed, and show less than that."""
 
+import html
 import json
 import re
 
@@ -18,11 +19,21 @@ def drawing_cells(source):
     return sum(bool(DRAWS.search(cell)) for cell in cells)
 
 
-def lost_pictures(sources, html):
+def silent_cells(page):
+    """Return the cells of a built page that print, and show nothing."""
+    silent = []
+    for cell in page.split('<div class="cell ')[1:]:
+        typed = re.search(r"<pre>(.*?)</pre>", cell, flags=re.DOTALL)
+        text = html.unescape(re.sub("<[^>]+>", "", typed.group(1))) if typed else ""
+        silent += [text] if re.search(r"\bprint\(", text) and "cell_output" not in cell else []
+    return silent
+
+
+def lost_pictures(sources, folder):
     """Say which pages draw and have fewer pictures than cells that draw: {page: (wanted, found)}."""
     lost = {}
     for page, source in sources.items():
-        wanted, built = drawing_cells(source), html / f"{page}.html"
+        wanted, built = drawing_cells(source), folder / f"{page}.html"
         main = re.search(r"<article.*?</article>", built.read_text(), flags=re.DOTALL) if built.exists() else None
         found = len(re.findall(r"<img\b", main.group())) if main else 0
         if found < wanted:

@@ -235,6 +235,8 @@ class ValidationReport(YesOrNo, ListRecord[ClaimCheck], PlainRecord):
 
     def explain(self) -> str:
         """Say the verdict in words."""
+        if not self.checks:
+            return f"No promise was judged. {' '.join(self.skipped)}".rstrip()
         missing = [f for f in self.checks if not f.checked]
         broken = self.broken
         if not broken and not missing:

@@ -33,6 +33,12 @@ def test_a_page_that_draws_and_shows_nothing_is_found(room, tmp_path):
     assert room.lost_pictures(pages, tmp_path) == {"a": (1, 0)}
 
 
+def test_a_cell_that_prints_and_shows_nothing_is_found(room):
+    cell = '<div class="cell docutils container"><pre><span>for</span> x in y: print(x)</pre>{}</div>'
+    shown = cell.format('<div class="cell_output">1</div>')
+    assert room.silent_cells(shown + cell.format("") + shown) == ["for x in y: print(x)"]
+
+
 def test_the_lecture_notebooks_draw(room):
     drawn = {p.stem: room.drawing_cells(p) for p in (ROOT / "examples" / "notebooks").glob("*.ipynb")}
     assert len(drawn) == 8

@@ -85,6 +85,7 @@ class SamplingFamily(PlainRecord, ABC):
     time_unit : str or None
     """
 
+    _table = {"members": "{explain}"}
     KINDS: ClassVar[dict[str, type[SamplingFamily]]] = {}
     kind: ClassVar[str]
     remembers: ClassVar[bool] = True

@@ -155,6 +155,7 @@ def test_it_comes_back_from_its_file():
     again = family_from_dict(family.to_dict())
     assert isinstance(again, DayAndNight)
     assert again.to_dict() == family.to_dict()
+    assert repr(again) == "DayAndNight(members=By day every 1.0, by night every 2.0, at most 0.1 late.)"
     with pytest.raises(ArgumentError, match="a family of kind 'day-and-night' needs `night`"):
         family_from_dict({"kind": "day-and-night", "day": 1.0})
 

@@ -18,7 +18,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 import house_pages  # noqa: E402
 import kernels  # noqa: E402
 import make_pages  # noqa: E402
-from lost_pictures import lost_pictures, silent_cells  # noqa: E402
+from lost_pictures import doubled_pictures, lost_pictures, silent_cells  # noqa: E402
 from proven_pages import collect, open_certificates  # noqa: E402
 from sphinx.errors import ExtensionError  # noqa: E402
 
@@ -157,7 +157,7 @@ def escape_mathematics(app, what, name, obj, options, lines):
 
 
 def every_output_is_there(app, exception):
-    """Fail the build where a page that draws, or a cell that prints, shows nothing."""
+    """Fail the build where a page that draws, or a cell that prints, shows nothing, or a picture twice."""
     if exception is not None or app.builder.format != "html" or os.environ.get("DOCS_FAST"):
         return
     pages = {page: Path(app.env.doc2path(page)) for page in app.env.found_docs}
@@ -165,10 +165,11 @@ def every_output_is_there(app, exception):
     if lost:
         told = ", ".join(f"{page} ({found} of {wanted})" for page, (wanted, found) in sorted(lost.items()))
         raise ExtensionError(f"pictures are missing on {told}: was a matplotlib backend set for the notebooks?")
-    built = [Path(app.outdir) / f"{page}.html" for page in pages]
-    silent = [f"{page.stem}: {cell}" for page in built for cell in silent_cells(page.read_text())]
-    if silent:
-        raise ExtensionError("cells print nothing: " + "; ".join(silent))
+    built = {page: (Path(app.outdir) / f"{page}.html").read_text() for page in pages}
+    wrong = [f"{page} prints nothing: {cell}" for page, text in built.items() for cell in silent_cells(text)]
+    wrong += [f"{page} shows {image} twice" for page, text in built.items() for image in doubled_pictures(text)]
+    if wrong:
+        raise ExtensionError("; ".join(wrong))
 
 
 def every_certificate_is_proven(app, exception):

@@ -29,6 +29,12 @@ def silent_cells(page):
     return silent
 
 
+def doubled_pictures(page):
+    """Return the pictures that a built page shows more than once: a figure that ends its cell is shown again."""
+    shown = re.findall(r'<img\b[^>]*\bsrc="([^"]+)"', page)
+    return sorted({each for each in shown if shown.count(each) > 1})
+
+
 def lost_pictures(sources, folder):
     """Say which pages draw and have fewer pictures than cells that draw: {page: (wanted, found)}."""
     lost = {}

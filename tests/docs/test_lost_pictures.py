@@ -39,6 +39,10 @@ def test_a_cell_that_prints_and_shows_nothing_is_found(room):
     assert room.silent_cells(shown + cell.format("") + shown) == ["for x in y: print(x)"]
 
 
+def test_a_picture_that_is_shown_twice_is_found(room):
+    assert room.doubled_pictures('<img alt="a" src="1.png"><img src="2.png"><img src="1.png">') == ["1.png"]
+
+
 def test_the_lecture_notebooks_draw(room):
     drawn = {p.stem: room.drawing_cells(p) for p in (ROOT / "examples" / "notebooks").glob("*.ipynb")}
     assert len(drawn) == 8

@@ -39,7 +39,7 @@ LONGEST_REFINED = 200
 """Peaks after more samples than this lie on the periodic solution, where a finer look changes nothing."""
 ATTAINED_RTOL = 2e-4  # how near to the periodic solution a window is followed; the certificate leaves 1e-3
 LONGEST_RUN = 20_000  # samples along which a window is followed towards the periodic solution
-FURTHER = 4  # times as far as all windows together, where those took too much work, the one that had come highest is
+FURTHER = 4  # times as far the highest window is followed alone, where all together took too much work
 START_CELLS = 5
 MIN_STARTS = 16
 """Inner starts: START_CELLS - 1 per gap, and at least about this many per period."""

@@ -61,10 +61,7 @@ class WindowProblem:
 
     def sample_starts(self) -> tuple[Index, Array]:
         """Return (index, remaining) of the windows of Def 2: from time 0 and from each sample."""
-        first = self.times[0]
-        if self.period is None:
-            return np.arange(self.count), self.gaps.copy()
-        index = np.arange(self.count)
+        index, first = np.arange(self.count), self.times[0]
         if first == self.gaps[0]:
             return index, self.gaps.copy()
         return np.append(index, 0), np.append(self.gaps, first)
@@ -111,14 +108,9 @@ def window_problem(
     rows = whitened_rows(plant.C, R, Qv, schedule.outputs, len(schedule))
     rows = np.swapaxes(np.linalg.solve(root, np.swapaxes(rows, 1, 2)), 1, 2)
     times = np.array(schedule.times)
-    if schedule.endless:
-        gaps = np.array(schedule.gaps)
-        reach = gaps.copy()
-        reach[0] = max(gaps[0], times[0])
-        period: float | None = float(schedule.period)
-    else:
-        gaps = np.diff(times, prepend=0.0)
-        reach, period = gaps.copy(), None
+    gaps = np.array(schedule.gaps) if schedule.endless else np.diff(times, prepend=0.0)
+    reach, period = gaps.copy(), float(schedule.period) if schedule.endless else None
+    reach[0] = max(gaps[0], times[0])  # the first sample of an endless schedule may come later than its gap
     return WindowProblem(
         A=A, noise=noise, rows=rows, eta=eta, root=root, gaps=gaps, reach=reach, times=times, period=period
     )

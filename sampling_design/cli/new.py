@@ -141,7 +141,7 @@ def new(
         made = f"{shell_word(paths[2])} -o {shell_word(target / 'out')}"
         words = f"Next: sampling-design plan {shell_word(paths[0])} {made}"
         data["plan"] = planned.to_dict()
-    settings.show(data, words)
+    settings.show(data, f"States: {', '.join(plant.states.names)}.", words)
 
 
 def _named(flag: str, text: str) -> list[str]:

@@ -96,7 +96,7 @@ def week(text: str, weekend: bool) -> WeekHours | None:
         if said is None or not first < last <= 1440:
             raise ArgumentError(
                 "`--open` must be two hours of a day, as 7-19, or more of them, as "
-                f'"Mon-Fri 8:30-12, 13-17, Sat 9-12", got {text!r:.60}.'
+                f'"Mon-Fri 8:30-12, 13-17, Sat 9-12" or, over midnight, "0-6, 22-24", got {text!r:.60}.'
             )
         days = said[1] or days
         span = tuple(f"{m // 60:02d}:{m % 60:02d}" for m in (first, last))

@@ -29,6 +29,7 @@ def test_what_it_writes_is_what_was_said(shell, tmp_path):
         *("new", tmp_path / "a", "--oscillation", "24,12", "--decay", 2, "--sensors", "blood, urine", "--samples", 6)
     )
     assert done.code == 0
+    assert "States: level, oscillation_1, oscillation_1_quadrature, oscillation_2," in done.out  # 24,12 are two
     assert "Next: sampling-design design" in done.out
     plant = sd.read_plant(tmp_path / "a" / "plant.toml")
     assert plant.outputs.names == ("blood", "urine")
@@ -299,7 +300,7 @@ def test_nothing_is_written_over_unless_forced(shell, tmp_path):
     [
         ((), "`new` needs to know what moves"),
         (("--oscillation", "daily"), "`--oscillation` must be positive numbers"),
-        (("--oscillation", "24", "--open", "19-7"), "`--open` must be two hours of a day"),
+        (("--oscillation", "24", "--open", "19-7"), 'over midnight, "0-6, 22-24", got'),
         (("--oscillation", "24", "--unit", "fortnight"), "`--unit` must be one of ms, s, min, h, d, wk"),
         (("--oscillation", "24", "--unit", "days"), "got 'days'. Did you mean 'd'?"),
         (("--half-life", "3x"), """`--half-life` must be positive numbers of h, or times like "3 d", with"""),

@@ -317,6 +317,8 @@ def test_spans_of_time_are_times_in_the_unit_of_the_plant_and_other_indices_say_
     frame = pandas.DataFrame({"gauge": [1.0, 2.0, 3.0]}, index=spans)
     for given in (frame, frame["gauge"], frame.reset_index(names="time"), frame.reset_index(names="Time")):
         assert sd.read_measurements(given, TANK).times.tolist() == [0.0, 6.5, 27.0]
+    polars = _Polars(time=[timedelta(0), timedelta(hours=6, minutes=30)], gauge=[1.0, 2.0])
+    assert sd.read_measurements(polars, TANK).times.tolist() == [0.0, 6.5]
     months = frame.set_axis(pandas.period_range("2026-01", periods=3, freq="M"))
     with pytest.raises(FileFormatError, match=r"and its index of period\[M\] says no times"):
         sd.read_measurements(months, TANK)
@@ -337,8 +339,13 @@ class _Polars:
     class _Column(list):
         def __init__(self, cells):
             super().__init__(cells)
+            self.spans = any(isinstance(cell, timedelta) for cell in cells)
             dated = any(isinstance(cell, datetime) for cell in cells)
-            self.dtype = SimpleNamespace(is_temporal=lambda: dated)
+            kind = type("Duration" if self.spans else "Other", (SimpleNamespace,), {})
+            self.dtype = kind(is_temporal=lambda: dated or self.spans)  # printed as "Duration(...)"
+
+        def __array__(self, dtype=None, copy=None):
+            return np.array(list(self), "timedelta64[us]" if self.spans else dtype)
 
     def __init__(self, **columns):
         self.columns, self.cells = list(columns), {k: self._Column(v) for k, v in columns.items()}
@@ -348,6 +355,9 @@ class _Polars:
 
     def fill_nan(self, value):
         return _Polars(**{k: [value if c != c else c for c in v] for k, v in self.cells.items()})
+
+    def with_columns(self, **columns):
+        return _Polars(**{**self.cells, **columns})
 
     def write_csv(self):
         def said(cell):
@@ -458,11 +468,11 @@ def test_what_ends_a_line_or_begins_a_comment_in_a_file_is_a_cell_of_a_frame():
 def test_a_column_that_no_file_can_say_is_named():
     beyond = np.array(["12345-01-01", "0001-01-01"], "M8[s]")
     columns = {"date": beyond, "gauge": [1.0, 2.0]}
-    lengths = _Polars(gauge=[1.0, 2.0], time=[timedelta(1), timedelta(2)])
+    lengths = _Polars(gauge=[timedelta(1), timedelta(2)], time=[1.0, 2.0])
     for given, name in (
         (pandas.DataFrame(columns), "date"),
         (pandas.Series([1.0, 2.0], beyond), "date"),
-        (lengths, "time"),
+        (lengths, "gauge"),
     ):
         with pytest.raises(
             FileFormatError, match=f"the frame: column '{name}' must hold numbers, texts or dates of the"

@@ -40,6 +40,8 @@ class _PandasFrame(DataFrame, Protocol):
 @runtime_checkable
 class _PolarsFrame(DataFrame, Protocol):
     def fill_nan(self, value: None) -> _PolarsFrame: ...
+
+    def with_columns(self, **columns: object) -> _PolarsFrame: ...
     def write_csv(self) -> str: ...
 
 
@@ -94,7 +96,8 @@ def lines_of(
     dates = [k for k, name in enumerate(frame.columns) if _kind(frame[name]) == "M"]
     stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
     if isinstance(frame, _PandasFrame):
-        frame, header, stamps = _stamped(frame, header, stamps, dates, plant.time_unit)
+        frame, header, stamps = _stamped(frame, header, stamps, dates)
+    frame = _in_unit(frame, plant.time_unit)
     for k in dates if stamps or len(dates) == 1 else ():
         header[k] = "date" if k in stamps or not stamps else header[k]
     first = io.StringIO()
@@ -103,9 +106,9 @@ def lines_of(
 
 
 def _stamped(
-    frame: _PandasFrame, header: list[str], stamps: list[int], dates: list[int], unit: str
+    frame: _PandasFrame, header: list[str], stamps: list[int], dates: list[int]
 ) -> tuple[_PandasFrame, list[str], list[int]]:
-    """The frame with its times in a column, spans of time as numbers of `unit`."""
+    """The frame with its times in a column."""
     if not stamps and (stamp := _stamp_of(frame.index, alone=not dates)):
         frame, header, stamps = frame.rename_axis(stamp).reset_index(), [stamp, *header], [-1]
     elif not stamps and not dates:
@@ -113,10 +116,15 @@ def _stamped(
         raise FileFormatError(
             f"the frame: has no column `time` or `date`, and its index of {kind} says no times.", file_io.FRAME
         )
-    for name in [name for name in frame.columns if str(name).lower() in STAMPS and _kind(frame[name]) == "m"]:
-        seconds = np.asarray(frame[name]) / np.timedelta64(1, "s")
-        frame = frame.assign(**{str(name): seconds / SECONDS[unit]})
     return frame, header, stamps
+
+
+def _in_unit(frame: _PandasFrame | _PolarsFrame, unit: str) -> _PandasFrame | _PolarsFrame:
+    """The frame with spans of time as numbers of `unit`."""
+    for name in [name for name in frame.columns if str(name).lower() in STAMPS and _kind(frame[name]) == "m"]:
+        spans = {str(name): np.asarray(frame[name]) / np.timedelta64(1, "s") / SECONDS[unit]}
+        frame = frame.assign(**spans) if isinstance(frame, _PandasFrame) else frame.with_columns(**spans)
+    return frame
 
 
 def _name_of(series: Series, plant: MeasuredPlant) -> object:
@@ -183,7 +191,9 @@ def _stamp_of(index: object, alone: bool) -> str:
 
 
 def _kind(column: object) -> str:
-    """The kind of what a column or an index of a frame holds: "M" for dates."""
+    """The kind of what a column or an index of a frame holds: "M" for dates, "m" for spans of time."""
     kind = getattr(column, "dtype", None)
     temporal = getattr(kind, "is_temporal", None)  # of polars
-    return ("M" if temporal() else "") if callable(temporal) else str(getattr(kind, "kind", "O"))
+    if not callable(temporal):
+        return str(getattr(kind, "kind", "O"))
+    return ("m" if str(kind).startswith("Duration") else "M") if temporal() else ""

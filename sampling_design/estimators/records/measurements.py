@@ -360,16 +360,16 @@ def read_measurements(
     Parameters
     ----------
     path : path, DataFrame (lazy, too), Series or Dataset
-        Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that
-        day), then the plant's output names, then its input names, in any order. An empty output cell is "not
-        measured" (a row that measures nothing is a visit that was missed or is to come), an empty input cell
-        "unchanged"; "<0.5" and ">8" are limits of detection, "<=0.5" says the same. A column `time_until` or
-        `date_until` says until when a row may have been measured, where its time is not known; empty where it is. A
-        column NAME_since beside an output NAME holds where a composite sample began, in the unit of the first column:
-        the output is the mean from then on. Lines that start with # are comments. NaN and null of a frame are what an
-        empty cell is. Where a frame has no column `time` or `date`, its index has the times (numbers that do more
-        than count the rows) or the dates, else its only column of dates has them, whatever they are called. A pandas
-        Series is a frame of one output, a Dataset of xarray with one axis the frame that it turns into.
+        Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that day),
+        then the plant's output names, then its input names, in any order. An empty output cell is "not measured" (a row
+        that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and
+        ">8" are limits of detection, "<=0.5" says the same. A column `time_until` or `date_until` says until when a row
+        may have been measured, where its time is not known; empty where it is. A column NAME_since beside an output
+        NAME holds where a composite sample began, in the unit of the first column: the output is the mean from then on.
+        Lines that start with # are comments. NaN and null of a frame are what an empty cell is. Where a frame has no
+        column `time` or `date`, its index has the times (numbers that do more than count the rows, or spans of time) or
+        the dates, else its only column of dates has them, whatever they are called. A pandas Series is a frame of one
+        output, a Dataset of xarray with one axis the frame that it turns into.
     plant : Plant
     origin : str or datetime, optional
         Date of time 0 in a file of dates. Default: the date of the first row.

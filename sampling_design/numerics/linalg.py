@@ -76,11 +76,20 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
 
 
 def forced_flow(A: Array, B: Array, times: npt.ArrayLike) -> Array:
-    """Return e^{A t} and int_0^t e^{A s} B ds side by side, (N, n, n + q), for every t in `times`; B is (n, q)."""
+    """Return e^{A t} and int_0^t e^{A s} B ds side by side, (N, n, n + q), for every t in `times`; B is (n, q).
+
+    Columns of B far beyond A would be squared so often that beside 1 nothing is left of A: they are followed smaller.
+    """
     n, q = B.shape
-    joint = np.zeros((n + q, n + q))
-    joint[:n, :n], joint[:n, n:] = A, B
-    return expm_batch(joint, times)[:, :n]
+    joint, longest = np.zeros((n + q, n + q)), float(np.abs(times).max(initial=0.0))
+    most = max(float(np.abs(A).sum(axis=0).max(initial=0.0)), 1 / longest if longest > 0 else 0.0)
+    columns = np.abs(B).sum(axis=0)
+    large = (columns > most) & np.isfinite(columns) & (most > 0)
+    unit = np.exp2(np.ceil(np.log2(columns / (most or 1.0), out=np.zeros(q), where=large)))  # nothing is rounded
+    joint[:n, :n], joint[:n, n:] = A, B / unit
+    flow = expm_batch(joint, times)[:, :n]
+    flow[:, :, n:] *= unit
+    return flow
 
 
 def rows_ahead(C: Array, A: Array, times: Array) -> Array:

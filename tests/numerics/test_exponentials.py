@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch, forced_flow
 from sampling_design.numerics.modal_flow import ModalFlow, exponential
 from sampling_design.plants import library
 from tests.cases import few
@@ -162,3 +162,12 @@ def test_empty_inputs():
 def test_built_once_per_matrix():
     assert exponential(J.copy()) is exponential(J)
     assert exponential(2 * J) is not exponential(J)
+
+
+@pytest.mark.parametrize("power", [30, 60, -60])
+def test_units_of_what_drives_change_nothing_of_a_flow(power):
+    rng = np.random.default_rng(6)
+    A, B, units = rng.standard_normal((3, 3)), rng.standard_normal((3, 2)), np.array([2.0**power, 1.0])
+    flow, scaled = forced_flow(A, B, [0.3, 2.0]), forced_flow(A, B * units, [0.3, 2.0])
+    scaled[:, :, 3:] /= units
+    np.testing.assert_allclose(scaled, flow, rtol=1e-13, atol=1e-13)

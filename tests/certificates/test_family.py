@@ -13,6 +13,8 @@ from sampling_design.certificates.exact.certificate import latest_samples
 from sampling_design.certificates.families import certify_family as family
 from sampling_design.certificates.families import program
 from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms, unrolled
+from sampling_design.certificates.families.step_proof import node_conditions, prove
+from sampling_design.certificates.form.claims import RESOLUTION, STATED_MARGIN
 from sampling_design.checkers.outcome import Verdict
 from sampling_design.errors import ArgumentError, FileFormatError, SolverError, UndecidedError
 from tests.cases import few
@@ -140,6 +142,22 @@ def test_a_range_within_a_thousandth_of_half_a_turn_is_certified():
     assert np.linalg.cond(found.P[-1]) > 1e5
 
 
+@pytest.mark.parametrize("seed", [3, 24])
+def test_lambda_of_matrices_leaves_what_the_certificate_states(seed):
+    """Between the instants that are looked at information may dip by the resolution; a margin is stated beyond it."""
+    search = family.FamilySearch(
+        OSCILLATOR, in_plant_terms(OSCILLATOR, GapRange(0.5, 3.0)), (np.eye(2), 2 * np.eye(1), 2 * np.eye(1)), None, 3.0
+    )
+    posed, rng = search.program(0.1, search.graph(0, layers=1)), np.random.default_rng(seed)
+    roots = rng.normal(size=(posed.graph.count, 2, 2))
+    P = roots @ roots.swapaxes(1, 2) + 0.01 * np.eye(2)
+    lam, proof = search._lam_of(posed, P)
+    stated = (1 + STATED_MARGIN) * (1 - RESOLUTION) * P[0] / lam
+    assert proof.proven
+    assert prove(posed.dynamics, node_conditions(posed.graph, P, stated)).proven
+    assert not prove(posed.dynamics, node_conditions(posed.graph, P, stated * 1.01)).proven
+
+
 def test_the_margin_stops_growing():
     family_ = in_plant_terms(OSCILLATOR, GapRange(0.5, 1.5))
     search = family.FamilySearch(OSCILLATOR, family_, (np.eye(2), np.eye(1), np.eye(1)), None, 3.0)
@@ -150,7 +168,7 @@ def test_the_margin_stops_growing():
 
 
 def test_the_undecided_say_how_far_both_sides_came():
-    with pytest.raises(UndecidedError, match="Certified is: Every schedule whose gaps lie between") as caught:
+    with pytest.raises(UndecidedError, match="Certified is, as the largest part in 5 halvings: Every sch") as caught:
         # gaps of pi - 1e-7: seen by every sample, but too little for the numbers of a certificate
         sd.certify(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0, P2=np.eye(2))
     details = caught.value.details

@@ -192,16 +192,15 @@ class FamilySearch:
 
     @staticmethod
     def _lam_of(program: FamilyProgram, P: Array) -> tuple[float, StepOutcome]:
-        """The lambda that the matrices reach, and the proof of (1 - 1e-3) P2 <= lam Phi."""
-        dynamics, graph = program.dynamics, program.graph
-        tops = graph.tops
+        """The lambda that the matrices reach, and the proof of (1 + margin) (1 - 1e-3) P2 <= lam Phi."""
+        dynamics, graph, least = program.dynamics, program.graph, (1 + STATED_MARGIN) * (1 - RESOLUTION)
         parts = np.linspace(0.0, 1.0, 33)
-        F, W = dynamics.flow(np.outer(tops, parts).ravel())
+        F, W = dynamics.flow(np.outer(graph.tops, parts).ravel())
         Y = propagate(np.repeat(np.linalg.inv(P), parts.size, axis=0), F, W)
         L = np.linalg.cholesky(P[0])
         lam = float(np.linalg.eigvalsh(symmetrise(L.T @ Y @ L))[:, -1].max())
         for _ in range(ROUNDS):
-            outcome = proven_along(dynamics, node_conditions(graph, P, (1 - RESOLUTION) * P[0] / lam))
+            outcome = proven_along(dynamics, node_conditions(graph, P, least * P[0] / lam))
             worst = max((theta for _, theta in outcome.failed.values()), default=0.0)
             if outcome.proven or worst < 1:
                 break
@@ -240,7 +239,7 @@ class FamilySearch:
             if level == levels[0]:
                 report(0.3, "search for a schedule without certificate")
                 least = refute(self.plant, self.family, bounds[0], hints=[proposal.gap])
-        raise _undecided(self, bounds[0], missed, least)
+        raise _undecided(self, bounds[0], levels, missed, least)
 
     def by_own_decay(self, bounds: tuple[float, float], memory: int) -> FamilyProposal | None:
         """What the plant's own decay proves, whatever is sampled, without the noise gain; None if nothing."""
@@ -463,7 +462,9 @@ def without_states(
     )
 
 
-def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], least: NearestFailure) -> UndecidedError:
+def _undecided(
+    search: FamilySearch, eta: float, levels: list[int], missed: list[FamilyProposal], least: NearestFailure
+) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is observed worst."""
     if missed[-1].solver.status == TOO_LARGE:
         return UndecidedError(
@@ -483,10 +484,11 @@ def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], l
         smaller = search.family.narrowed(fraction)
         if smaller is None:
             break
-        proposal = replace(search, family=smaller).propose(eta, 0)
-        low, high, part = (fraction, high, smaller) if proposal.P is not None else (low, fraction, part)
+        part_of = replace(search, family=smaller)
+        certain = any(part_of.propose(eta, level).P is not None for level in levels[: len(missed)])
+        low, high, part = (fraction, high, smaller) if certain else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
-    known = "" if part is None else f" Certified is: {part.explain()}"
+    known = "" if part is None else f" Certified is, as the largest part in {NARROWINGS} halvings: {part.explain()}"
     known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""
     return UndecidedError(
         f"undecided at rate {eta:.6g}: no certificate was found for this family, and no schedule of it without one."

@@ -249,3 +249,42 @@ def test_sigma_of_rows_is_attained_by_its_witness(seed):
     left = np.linalg.lstsq(O, np.eye(len(O)), rcond=None)[0]  # the least of all left inverses
     assert found.upper == pytest.approx(1 / np.linalg.norm(H @ left, 2), rel=1e-6)
     assert found.lower <= found.upper
+
+
+@pytest.mark.parametrize("off", [1e-3, 1e-4])
+def test_worst_sigma_of_rows_is_theirs_however_little_the_samples_show_of_other_states(off):
+    """Every schedule holds four samples of the constant, and none has room to show as little as equal gaps do."""
+    rule = SpacedWindows(window=3.0 + off / 10, count=4, spacing=1.0)
+    found = worst_case_sigma(nearly_aliased(off), rule, of="x1")
+    assert found.status == "closed"
+    assert found.lower >= 1.98 * (1 - 1e-4)
+    assert found.upper == pytest.approx(2.0, rel=1e-9)
+    assert worst_case_sigma(nearly_aliased(off), rule).upper < 3 * off
+
+
+@pytest.mark.parametrize("seed", few(range(20), 0, 7))
+def test_worst_sigma_of_rows_is_attained_by_its_witness_and_no_schedule_drawn_has_less(seed):
+    rng = np.random.default_rng([12, seed])
+    n = int(rng.integers(2, 4))
+    plant, H = Plant(rng.standard_normal((n, n)), rng.standard_normal((1, n))), rng.standard_normal((n - 1, n))
+    count, spacing = n + int(rng.integers(0, 3)), rng.uniform(0.2, 0.6)
+    slack = (count - 1) * spacing * rng.uniform(0.05, 0.6)
+    found = worst_case_sigma(plant, SpacedWindows((count - 1) * spacing + slack, count, spacing), of=H)
+
+    def of_rows(times):
+        O = (plant.C @ plant.transition(times)).reshape(-1, n)
+        return 1 / np.linalg.norm(H @ np.linalg.lstsq(O, np.eye(len(O)), rcond=None)[0], 2)
+
+    drawn = np.sort(rng.uniform(size=(100, count)), axis=1) * slack + spacing * np.arange(count)
+    assert found.upper == pytest.approx(of_rows(found.witness), rel=1e-6)
+    assert found.lower <= min(map(of_rows, drawn)) * (1 + 1e-9)
+
+
+def test_a_window_that_hides_a_state_beside_rows_names_that_state():
+    """Sigma of the rows counts as 0 there, and the state that is hidden is none of theirs."""
+    found = window_sigma(nearly_aliased(0.0), EVERY_SECOND, 4.0, of="x1")
+    worst = worst_case_sigma(nearly_aliased(0.0), SpacedWindows(3.0, 4, 1.0), of="x1")
+    for sigma, state in ((found, found.witness.direction), (worst, worst.direction)):
+        assert sigma.status == "below rounding"
+        assert sigma.lower == 0.0 <= sigma.upper < 1e-12
+        assert abs(state[0]) < 1e-12

@@ -311,6 +311,7 @@ def _bracket(
 ) -> WindowBracket:
     """The result, with the witness evaluated afresh from its own rows."""
     pieces = search.pieced.pieces
+    counted = plant.n_states if status in ("too few samples", "below rounding") else counted  # of what is hidden, all
     direction, upper, shares = least_observed(_rows(plant, pieces, g, start), counted)
     lower = min(float(search.piece_lower.min()), upper)
     if status in ("too few samples", "below rounding"):

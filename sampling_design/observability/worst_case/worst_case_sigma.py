@@ -20,7 +20,9 @@ from sampling_design.observability.sigma_bracket import (
     rtol_and_seconds,
 )
 from sampling_design.observability.windows.bracket import require_moderate
-from sampling_design.observability.windows.sampled import sigma_min
+from sampling_design.observability.windows.sampled import observability_matrix
+from sampling_design.observability.windows.timing import least_observed
+from sampling_design.observability.windows.window_record import MOST_WIDER
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows, within_periods
 from sampling_design.observability.worst_case.spaced_search import (
     LEAST_CELLS,
@@ -31,6 +33,7 @@ from sampling_design.observability.worst_case.spaced_search import (
 )
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.observability.worst_case.spaced_times import has_few_times, prove_by_times
+from sampling_design.plants.functional import rows_counted, wider_beside
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -302,8 +305,8 @@ def worst_case_sigma(
     generator = checks.generator(rng)
     require_moderate(plant)
     _require_memory(plant, family, late)
-    own, limit = plant.scaled() if plant.has_scales else plant, Budget(seconds)
-    result = _bracketed(own, within_periods(plant, family), late, tolerance, seconds, generator, progress)
+    limit = Budget(seconds)
+    result, own = _of_rows(plant, family, late, tolerance, seconds, generator, progress)
     left = limit.left
     if rigorous:
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
@@ -311,16 +314,14 @@ def worst_case_sigma(
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds, late=late)
         result = in_balls(result, proof)
     coordinates = coordinates_of(plant)
-    least = partial(_least, own, plant, tolerance)
+    least = partial(_least, plant, tolerance)
     beside = partial(deviations_of_family, least, family, late, result.lower, left, plant.time_unit)
     return replace(result, family=family, coordinates=coordinates, beside=beside)
 
 
-def _least(
-    own: Plant, plant: Plant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float
-) -> float:
+def _least(plant: Plant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
-    return _bracketed(own, within_periods(plant, family), late, rtol, seconds, checks.generator(0), None).lower
+    return _of_rows(plant, family, late, rtol, seconds, checks.generator(0), None)[0].lower
 
 
 def deviations_of_family(
@@ -374,6 +375,28 @@ def _require_memory(plant: Plant, family: SpacedWindows, late: TimingTolerance) 
         )
 
 
+def _of_rows(
+    plant: Plant,
+    family: SpacedWindows,
+    late: TimingTolerance,
+    rtol: float,
+    seconds: float,
+    rng: np.random.Generator,
+    progress: Progress | None,
+) -> tuple[WorstCaseSigma, Plant]:
+    """The record, and the plant in its own coordinates; states beside rows count as little as its witness asks."""
+    limit, inner, found = Budget(seconds), within_periods(plant, family), list[tuple[WorstCaseSigma, Plant]]()
+    for _ in range(MOST_WIDER):
+        own = plant.scaled() if plant.has_scales else plant
+        record, shares = _bracketed(own, inner, late, rtol, limit.left, rng, progress, rows_counted(plant))
+        found.append((record, own))
+        wider = wider_beside(plant, shares)
+        if record.status not in ("rounding", "units") or wider is None or limit.over:
+            break
+        plant = wider
+    return max(found, key=lambda pair: pair[0].lower)
+
+
 def _bracketed(
     plant: Plant,
     family: SpacedWindows,
@@ -382,8 +405,9 @@ def _bracketed(
     seconds: float,
     rng: np.random.Generator,
     progress: Progress | None,
-) -> WorstCaseSigma:
-    """The record for one plant in its own coordinates.
+    counted: int,
+) -> tuple[WorstCaseSigma, Array]:
+    """The record for one plant in its own coordinates, and what its witness leaves of each state (`least_observed`).
 
     Where rounding keeps it open, it is proven for states z, x = D z, that are balanced as far as their units are more
     than `APART` apart: |O x| >= sigma_z |z| and |z| >= |x|/max D.
@@ -391,20 +415,21 @@ def _bracketed(
     rows, budget = SpacedRows(plant, family.window, family.count, family.spacing, late), Budget(seconds)
     if plant.n_states == 0:
         found = AttainedSchedule(np.inf, np.zeros(rows.count), np.zeros(0))
-        return _record(rows, family, late, rtol, SphereBounds(np.inf, found, "no states", 0), "no states")
-    record = _record(rows, family, late, rtol, *_proof(rows, rtol, seconds, rng, progress))
+        return _record(rows, family, late, rtol, SphereBounds(np.inf, found, "no states", 0), "no states", counted)
+    record, shares = _record(rows, family, late, rtol, *_proof(rows, rtol, seconds, rng, progress), counted)
     D = balanced_schur(plant.A, plant.C).d if record.status in ("rounding", "below rounding") else np.ones(1)
     if np.ptp(D) == 0:
-        return record
+        return record, shares
     D = np.minimum(D.max(), D * APART)
     balanced = Plant(plant.A * D / D[:, None], plant.C * D, time_unit=plant.time_unit)
     rows = SpacedRows(balanced, family.window, family.count, family.spacing, late)
     proof, method = _proof(rows, rtol, budget.left, rng, progress)
     lower = min(proof.lower / float(D.max()), record.upper)
     if lower <= record.lower:
-        return record
+        return record, shares
     status = "closed" if lower >= (1 - rtol) * record.upper else "units"
-    return replace(record, lower=lower, status=status, method=f"{method}, of balanced states", cells=proof.cells)
+    method = f"{method}, of balanced states"
+    return replace(record, lower=lower, status=status, method=method, cells=proof.cells), shares
 
 
 def _proof(
@@ -445,24 +470,31 @@ def _searched(
 
 
 def _record(
-    rows: SpacedRows, family: SpacedWindows, late: TimingTolerance, rtol: float, proof: SphereBounds, method: str
-) -> WorstCaseSigma:
-    """The public record, its witness evaluated afresh by the room's own sigma."""
-    plant, x, planned = rows.plant, proof.attained.direction, rows.times(proof.attained.slacks)
+    rows: SpacedRows, family: SpacedWindows, late: TimingTolerance, rtol: float, proof: SphereBounds, method: str,
+    counted: int,
+) -> tuple[WorstCaseSigma, Array]:  # fmt: skip
+    """The public record, its witness evaluated afresh by the room's own sigma of what is counted, and its shares."""
+    plant, planned, status = rows.plant, rows.times(proof.attained.slacks), proof.status
     readings, when, mask = None, planned, None
     if late:
         readings = np.empty((rows.count, plant.n_outputs))
         for each, group in zip(rows.readings(planned, proof.attained.moves).T, rows.groups, strict=True):
             readings[:, group.outputs] = each[:, None]
         when, mask = readings.ravel(), np.tile(np.eye(plant.n_outputs, dtype=bool), (rows.count, 1))
-    upper = sigma_min(plant, when, mask) if plant.n_states else np.inf
+    counted = plant.n_states if status in ("too few samples", "below rounding") else counted  # of what is hidden, all
+    x, upper, shares = proof.attained.direction, np.inf, np.zeros(0)
+    if plant.n_states:
+        x, upper, shares = least_observed(observability_matrix(plant, when, mask), counted)
+    lower = min(proof.lower, upper)
+    status = "rounding" if status == "closed" and lower < (1 - rtol) * upper else status  # of rows: others hide them
     s = np.linspace(0.0, family.window + late.span, _PICTURE)
     seen, at = (plant.C @ plant.transition(t) @ x for t in (s, when))
     at_samples = np.linalg.norm(at if mask is None else at * mask, axis=1)
     frozen = [checks.freeze(a) for a in (s, np.linalg.norm(seen, axis=1), when, at_samples)]
-    return WorstCaseSigma(
-        lower=min(proof.lower, upper), upper=upper, witness=checks.freeze(planned + max(late.early)),
-        direction=checks.freeze(x), status=proof.status, method=method, cells=proof.cells, family=family, rtol=rtol,
+    record = WorstCaseSigma(
+        lower=lower, upper=upper, witness=checks.freeze(planned + max(late.early)),
+        direction=checks.freeze(x), status=status, method=method, cells=proof.cells, family=family, rtol=rtol,
         profile=WorstCaseProfile(*frozen), time_unit=plant.time_unit, late=late,
         readings=None if readings is None else checks.freeze(readings),
     )  # fmt: skip
+    return record, shares

@@ -192,11 +192,11 @@ def _study_estimates(
         "initial": lambda: initial_inputs(line, bounds),
     }
     known = [name for name in scenarios if name in inputs]
-    settles = line.samples.size >= GAPS_TO_SETTLE
+    few = f"{line.samples.size} samples, it settles in {GAPS_TO_SETTLE}" if line.samples.size < GAPS_TO_SETTLE else ""
+    few = few or "samples get rarer" * line.rarer
     skipped = [f"{name}: it needs a certificate's estimator." for name in scenarios if name not in known]
     skipped += [
-        f"growth of the error ({name}): {line.samples.size} samples, it settles in {GAPS_TO_SETTLE}."
-        for name in known if name in GROWTH_LIMIT and not settles
+        f"growth of the error ({name}): {few}." for name in known if name in GROWTH_LIMIT and few
     ]  # fmt: skip
     for k, name in enumerate(known):
         if progress is not None:
@@ -209,7 +209,7 @@ def _study_estimates(
                 runs.append(real_run(line, truth, estimator))
         size = np.linalg.norm([run.errors / line.plant.states.scales for run in runs], axis=2)
         error_curves.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
-        if name in GROWTH_LIMIT and settles:
+        if name in GROWTH_LIMIT and not few:
             worst = float(np.max(growth(size, line.rows.times)))
             found.append(ClaimCheck("error does not grow", name, GROWTH_LIMIT[name], worst))
         certified = np.array([run.certified for run in runs])

@@ -220,6 +220,9 @@ class ValidationStudy:
             few = f"{self.line.samples.size} samples, {where} it settles in {GAPS_TO_SETTLE}."
             self.skipped.append(f"growth under a resonant disturbance: {few}")
             return
+        if self.line.rarer:
+            self.skipped.append("growth under a resonant disturbance: samples get rarer.")
+            return
         grown, limit = growth(trials.size, self.line.rows.times), GROWTH_LIMIT["resonant"]
         at = int(np.argmax(grown))
         note = f"worst: {names[at]}"

@@ -22,6 +22,7 @@ CELLS_PER_GAP = 6  # cells of a mean gap: a disturbance may change its mind that
 CELLS_PER_CYCLE = 16
 """Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
 GAPS_TO_SETTLE = 40  # mean gaps in which an error is taken to have settled, whatever the horizon
+LONGER = 1.2  # factor by which gaps may get longer from one half to the other where growth of the error is judged
 LARGEST = 20_000  # cells of one timeline; a disturbance gets coarser cells rather than more of them
 
 
@@ -85,6 +86,18 @@ class Timeline:
     def sample_at(self) -> dict[int, int]:
         """Which sample is taken at a break point, of those that have one."""
         return {int(b): j for j, b in enumerate(self.samples)}
+
+    @cached_property
+    def rarer(self) -> bool:
+        """Whether an output is read more rarely in the second half: then errors grow of whatever estimator."""
+        end, read = self.times[-1], self.times[self.samples]
+        for measured in self.masks.T[self.masks.any(axis=0)] > 0:
+            marks = np.concatenate([[0.0], read[measured], [end]])
+            gaps, later = np.diff(marks), marks[1:] > end / 2
+            early, late = gaps[~later], gaps[later]
+            if not early.size or late.max() > LONGER * early.max() or late.mean() > LONGER * early.mean():
+                return True
+        return False
 
     @cached_property
     def rows(self) -> ErrorRows:

@@ -170,6 +170,21 @@ def test_growth_along_a_finite_schedule_is_judged_only_over_many_samples():
         assert report.skipped[-1].endswith("12 samples, on a finite schedule it settles in 40.")
 
 
+@pytest.mark.parametrize("by", few(["its own", "another"], 0))
+def test_growth_is_judged_only_where_samples_get_no_rarer(by):
+    """Where gaps get ever longer the error of every estimator grows; in another order of the same gaps none does."""
+    plant, gaps = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), np.linspace(0.2, 2.5, 42)
+    bounds = {"w_bound": 0.1, "v_bound": 0.05, "initial_error": 1.0, "runs": 1, "scenarios": ["resonant"]}
+    way = {"horizon": 5.0} if by == "its own" else {"estimator": sd.KalmanFilter(plant)}
+    longer = sd.validate(plant, sd.Schedule(np.cumsum(gaps)), **bounds, **way)
+    assert "samples get rarer" in longer.skipped[-1]
+    assert "error does not grow" not in [check.claim for check in longer.checks]
+    for order in (np.append(np.arange(0, 42, 2), np.arange(1, 42, 2)), np.arange(42)[::-1]):
+        report = sd.validate(plant, sd.Schedule(np.cumsum(gaps[order])), **bounds, **way)
+        assert report.passed
+        assert "error does not grow" in [check.claim for check in report.checks]
+
+
 @pytest.mark.parametrize("place", few(range(12), 1, 4))
 def test_rounding_that_adds_up_along_a_run_breaks_no_ellipsoid(place):
     """What nothing drives and decays is known ever better, and the flow's rounding has one sign at every step."""

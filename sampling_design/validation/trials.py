@@ -63,11 +63,13 @@ class EstimatedRun(NamedTuple):
 def _ratio(estimate: Estimate, truth: Array, rounding: Array) -> float:
     """The ratio of a truth that is known to its rounding, entry by entry: of the nearest one that it may be."""
     found = estimate.ratio(truth)
-    if not 1 < found < np.inf:
+    if not found > 1:
         return found
     half = inverse_root(estimate.covariance)
     away = float(np.linalg.norm(half @ (truth - estimate.x)) - np.linalg.norm(np.abs(half) @ rounding))
-    return max(away, 0.0) ** 2 / estimate.radius
+    if away <= 0:  # of what has shrunk to a point, too
+        return 0.0
+    return away**2 / estimate.radius if estimate.radius > 0 and away < np.inf else found
 
 
 def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: bool = True) -> SimulatedRun:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
+from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant, validate
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
@@ -57,3 +58,38 @@ def test_the_driven_plant_is_the_same_but_for_its_inputs():
     assert not plant.D.any()
     for key in "ACG":
         assert np.array_equal(getattr(plant, key), getattr(UNSTABLE, key))
+
+
+class Tight:
+    """The exact interval of x' = w, y = x + v: a point where noise on both ends of its bound has shown it."""
+
+    def __init__(self, w, v, e0, gain=1.0):
+        self.w, self.v, self.e0, self.gain = w, v, e0, gain
+
+    def start(self, prior, prior_time=0.0):
+        self.t, self.ends = prior_time, prior[0] + self.e0 * np.array([-1.0, 1.0])
+
+    def predict(self, t):
+        low, high = self.ends + self.w * (t - self.t) * np.array([-1.0, 1.0])
+        return Estimate(t, np.array([(low + high) / 2]), np.eye(1), max(high - low, 0.0) ** 2 / 4, certified=True)
+
+    def update(self, t, y, u=None):
+        reach = self.w * (t - self.t) + self.v
+        read, before = float(y[0]) / self.gain, self.ends + (reach - self.v) * np.array([-1.0, 1.0])
+        self.t, self.ends = t, np.array([max(before[0], read - self.v), min(before[1], read + self.v)])
+        return self.predict(t)
+
+
+LIES = {"none": {}, "w": {"w": 0.1 / 1.01}, "v": {"v": 0.2 / 1.01}, "e0": {"e0": 1 / 1.01}, "gain": {"gain": 1.01}}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_what_is_tight_is_held_and_broken_by_a_lie_of_a_percent(lie):
+    plant, schedule = Plant([[0.0]], [[1.0]]), PeriodicSchedule([0.7, 1.3])
+    report = validate(
+        plant, schedule, estimator=Tight(**{"w": 0.1, "v": 0.2, "e0": 1.0, **LIES[lie]}), w_bound=0.1, v_bound=0.2,
+        initial_error=1.0, runs=10, duration=8.0, scenarios=("random", "initial"), rng=1,
+    )  # fmt: skip
+    held = [check.passed for check in report.checks if check.claim == "online ellipsoid"]
+    assert len(held) == 2
+    assert all(held) == (lie == "none")

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design.certificates.compare import arrival_patterns
+from sampling_design.certificates.compare.random_arrivals import random_arrivals
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
@@ -154,3 +156,27 @@ def test_powers_of_two_change_no_bit(seed):
         assert np.array_equal(getattr(here.plant, key), getattr(there.plant, key))
     assert np.array_equal(here.inside(P2), there.inside(units.state_weight(P2)))
     assert np.array_equal(here.schedule.gaps, there.schedule.gaps)
+
+
+ROTATING = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], G=[[0.0], [1.0]])
+SINKING = Plant([[-0.05]], [[0.6], [-0.4]], G=[[0.5]])
+
+
+@pytest.mark.parametrize(
+    ("plant", "chance"), few([(ROTATING, {"arrival_rate": 1.3, "horizon": 6.0}), (SINKING, {"horizon": 12.0})], 1)
+)
+def test_units_change_nothing_of_what_chance_leaves(plant, chance, monkeypatch):
+    """Patterns that are equally likely are told apart by rounding alone: none of it may decide which become one."""
+    monkeypatch.setattr(arrival_patterns, "MOST_CLASSES", 32)
+    found = []
+    for t in (1.0, 1 / 7):
+        own = Plant(plant.A / t, plant.C, G=plant.G / np.sqrt(t))
+        weights = np.eye(len(plant.C))
+        made = certify(
+            own, PeriodicSchedule(np.array([0.5, 1.5]) * t), eta=0.3 / t, P2=np.eye(len(plant.A)), Qw=[[1.0]],
+            R=weights, Qv=weights,
+        )  # fmt: skip
+        scaled = {key: value * t if key == "horizon" else value / t for key, value in chance.items()}
+        said = random_arrivals(made, 0.1, **scaled)
+        found.append(np.concatenate([said.probability.ravel(), said.factor.ravel()]))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-11)

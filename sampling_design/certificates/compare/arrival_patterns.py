@@ -30,6 +30,7 @@ NEIGHBOURS = 3  # classes that each one is compared with before two become one
 ROUNDING = 1e-12  # of the size of Y: less does not count where it is asked which classes are alike
 LARGEST = 1e150  # of Y in units of P2's inverse: beyond, squares are no doubles, and nothing is said of a pattern
 UNDECIDED = 1e-9  # a factor within this share of 1 is on neither side of it: rounding decides
+TIED = 1e-9  # share by which probabilities may differ by rounding: of two such classes the first one stays
 
 
 def _updated(Y: Array, rows: Array) -> Array:
@@ -241,7 +242,7 @@ class _PatternClasses(NamedTuple):
         near = KDTree(where).query(where, k=min(NEIGHBOURS + 1, len(where)))[1]
         i, j = np.append(np.repeat(first, near.shape[1]), first[:-1]), np.append(near, first[1:])
         i, j = i[i < j], j[i < j]
-        heavy = self.mass[i] >= self.mass[j]
+        heavy = self.mass[i] >= self.mass[j] * (1 - TIED)
         i, j = np.where(heavy, i, j), np.where(heavy, j, i)
         mass = self.mass[i] + self.mass[j]
         a, b = (self.mass[k][:, None, None] / mass[:, None, None] for k in (i, j))
@@ -275,8 +276,9 @@ class _PatternClasses(NamedTuple):
         values = values - 100 * n * np.finfo(float).eps * values[:, -1:]  # what is smaller is rounding
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             X = np.where(values > 0, 1 / values, np.inf).sum(axis=1) / half / half
-            b = T * X + 1 - (n - 1) ** 2
-            high = (b + np.sqrt(np.maximum(b**2 - 4 * T * X, 0.0))) / (2 * X)
+            both = T * X
+            root = np.sqrt(np.maximum(both - n**2, 0.0) * (both - (n - 2) ** 2))  # of the discriminant, by its factors
+            high = (both + 1 - (n - 1) ** 2 + root) / (2 * X)
         high = np.where(np.isfinite(high), np.clip(high, low, np.maximum(T, low)), np.maximum(T, low))
         own = half * np.linalg.eigvalsh(self.upper)[:, -1] * half
         return np.asarray(low), np.where(self.single, np.maximum(own, low), high)

@@ -18,12 +18,13 @@ from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, left_open, strongest_witness
+from sampling_design.errors import UndecidedError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget, Progress
+from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import above, below
 from sampling_design.records.signatures import open_verb
@@ -34,6 +35,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 MARGIN = 5e-5
 """By how much an upper bound is raised, so that balls prove it too, whose derivatives are bounded a little worse."""
 RTOL = 0.01  # default width of the brackets, relative
+WIDE = 1.05
+"""Bracket beyond which late samples are looked at about their latest and earliest times, too: error that grows between
+samples is bounded best about the latest ones, of one state exactly."""
 MOST_SOLVES = 2000  # programs for one row; a bracket that is not closed by then says so
 
 
@@ -83,7 +87,8 @@ def guaranteed_accuracy(
     timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
         How early or late each sample may be, together less than the least gap: both sides are then those of all such
         times, which are known once samples are taken. What follows from a sample counts from `late` after its planned
-        time on; the sample times of the record are the middles. Of a finite schedule `start` and `end` (default: the
+        time on; the sample times of the record are those about which it is proven, the middles or the latest or
+        earliest of all. Of a finite schedule `start` and `end` (default: the
         last sample and `late`) leave room for it. By output: those of one sample may fall apart, each within its own;
         `lower` is then that of times at which they come together.
     start, end : float, optional
@@ -152,18 +157,41 @@ def guaranteed_accuracy(
     deviation = None
     if w_intensity is not None or v_deviation is not None:
         deviation = deviations(question, rows, w_intensity, v_deviation)
-    return _answered(question, rows, tolerance, limit, deviation, progress)
+    found = list[Accuracy]()
+    late, why = question.timing_tolerance, None
+    for by in [0.0, float(late.forward.min()), -float(late.back.min())] if late else [0.0]:
+        if found and (limit.over or _is_narrow(found[0], tolerance)):
+            break
+        try:
+            answer = answer_of(question.about(by) if by else question, rows, tolerance, limit, deviation, progress)
+        except UndecidedError as error:
+            if why is None:
+                why = error
+            continue
+        if not by or (
+            np.isfinite(answer.upper).any() and answer.verify()
+        ):  # else what stands for times outgrew doubles
+            found.append(answer)
+    if not found and why is not None:
+        raise why
+    return min(found, key=lambda each: float(np.sum(np.log(each.upper[each.upper > 0]))))
 
 
-def _answered(
+def _is_narrow(found: Accuracy, rtol: float) -> bool:
+    """Whether what is proven about the middles is so near what is attained that other times need no look."""
+    known = np.isfinite(found.upper)
+    return bool(np.all(found.upper[known] <= found.lower[known] * (1 + rtol) * WIDE))
+
+
+def answer_of(
     asked: AccuracyQuestion,
     rows: RequestedRows,
     tolerance: float,
-    limit: Budget,
-    deviation: StandardDeviation | None,
-    progress: Progress | None,
+    limit: Budget = ENDLESS,
+    deviation: StandardDeviation | None = None,
+    progress: Progress | None = None,
 ) -> Accuracy:
-    """The answer to a question, over its shortest period."""
+    """Return the answer to a question, over its shortest period; UndecidedError as for `guaranteed_accuracy`."""
     question = asked.primitive()
     known = question.lasting()
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]

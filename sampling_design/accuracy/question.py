@@ -53,7 +53,7 @@ class AccuracyQuestion:
     bounds: SignalBounds  # one row of v for each node
     initial: InitialSet | None  # None: the schedule is endless
     # (N,): sample times of the period; of a finite schedule its start, which may be a sample, and its samples. Where
-    # these come early or late, their centres
+    # these come early or late, their centres, or as much after these as the tolerance was `moved`
     nodes: Array
     end: float  # of the period that begins at the first node, or of the finite schedule
     timing_tolerance: TimingTolerance = ON_TIME
@@ -122,6 +122,13 @@ class AccuracyQuestion:
         bounds = replace(self.bounds, v=freeze(self.bounds.v[:part]), v_centre=middle)
         nodes = found.times + self.timing_tolerance.shift
         return replace(self, schedule=found, bounds=bounds, nodes=freeze(nodes), end=float(nodes[0] + found.period))
+
+    def about(self, by: float) -> AccuracyQuestion:
+        """The same question about samples that are counted so much after their centres, at a time that all allow."""
+        late, nodes = self.timing_tolerance, self.nodes.copy()
+        nodes[self.samples] += by
+        end = self.end + by * (self.initial is None)
+        return replace(self, nodes=freeze(nodes), end=end, timing_tolerance=replace(late, moved=late.moved + by))
 
     def noisier(self, noise: Array | None) -> AccuracyQuestion:
         """The same question with so much more noise (N, p)."""

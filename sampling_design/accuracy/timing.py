@@ -42,6 +42,7 @@ MORE = 0.015
 """Share by which noise that is enough is above what it bounds: room for proofs near by, where a plan is left."""
 
 TURNS = 24  # times that noise which is enough is sought: beyond them nothing bounds what late samples do
+FAR = 1e6  # so many times what a tolerance adds without it is no noise that is of use
 PANELS = 8  # panels of the time by which a sample may be late, at least
 KEPT_ROOM = MORE / 3  # that share where the gains that were kept prove it again
 FARTHEST = 64  # samples back of the gains that bound what a tolerance adds, at most
@@ -91,6 +92,7 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     """
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
     kept: tuple[Array, Array] | None = None
+    least = 0.0
     for turn in range(TURNS):
         search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
         found = added(search, question, known, seek=not budget.over)
@@ -104,8 +106,9 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
             continue
         if kept is not None and turn:
             return kept[0]
+        least = least or float(found.max(initial=0.0))
         before, tried = tried, extrapolated(before, tried, found) * (1 + MORE)
-        if np.any(tried > 1e6 * (found.max(initial=0.0) + 1e-300)):
+        if np.any(tried > FAR * (least + 1e-300)):
             break
     if kept is not None:
         return kept[0]

@@ -7,19 +7,23 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy import guaranteed_accuracy
+from sampling_design.accuracy.accuracy import answer_of
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.timing import refuse_tolerance
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.checkers.strict import is_number
 from sampling_design.errors import NotDetectableError
+from sampling_design.observability.alignment import align
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import requested_rows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import PlainRecord, TableRecord, above
 from sampling_design.records.units import SECONDS, spoken
@@ -148,10 +152,11 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
         name: Sensor(noise_bound=size if np.isfinite(size) else None, result_delay=delay)
         for name, size, delay in zip(problem.plant.outputs.names, problem.v_bound.tolist(), delays, strict=True)
     }
-    return guaranteed_accuracy(
-        problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL,
-        timing_tolerance=problem.timing_tolerance.plain,
-    )  # fmt: skip
+    late, plant = problem.timing_tolerance, problem.plant
+    question = AccuracyQuestion.of(plant, align(plant, schedule), problem.requirement.w_bound, v, late=late)
+    if question.is_late:
+        refuse_tolerance(question, False)
+    return answer_of(question, requested_rows(plant, np.array(rows)), RTOL)  # about the middles, as what follows is
 
 
 LEFT_OUT: dict[str, str] = {

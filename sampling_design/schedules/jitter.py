@@ -63,6 +63,7 @@ class TimingTolerance:
 
     An unequal pair is an equal one about another time: `shift` after the planned time lies the *centre*, and every real
     time lies within `radius` of it. Where outputs have tolerances of their own, the centre is a time that all allow.
+    `moved` after it lies another time that is counted from in its place.
 
     Parameters
     ----------
@@ -75,6 +76,7 @@ class TimingTolerance:
     early: tuple[float, ...] = (0.0,)
     late: tuple[float, ...] = (0.0,)
     names: tuple[str, ...] = ()
+    moved: float = 0.0
 
     @classmethod
     def of(cls, value: object, outputs: Sequence[str] | None = None, unit: str | None = None) -> Self:
@@ -117,7 +119,7 @@ class TimingTolerance:
     @property
     def shift(self) -> float:
         """How long after the planned time the centre lies."""
-        return float(shift_of(np.array(self.early), np.array(self.late)))
+        return float(shift_of(np.array(self.early), np.array(self.late))) + self.moved
 
     @property
     def radius(self) -> float:
@@ -147,7 +149,7 @@ class TimingTolerance:
     def scaled(self, factor: float) -> Self:
         """Return it in another unit of time."""
         early, late = (tuple(factor * x for x in side) for side in (self.early, self.late))
-        return type(self)(early, late, self.names)
+        return type(self)(early, late, self.names, factor * self.moved)
 
     @property
     def plain(self) -> Timing:

@@ -291,7 +291,37 @@ def test_what_is_still_out_says_nothing_of_the_times_of_what_is_in(seed: int):
 def test_where_the_error_grows_with_the_times_nothing_is_claimed():
     growing = Plant([[0.0, 1.0], [2.0, 0.0]], [[1.0, 0.0]])
     with pytest.raises(UndecidedError, match="Ask for a smaller `timing_tolerance`"):
-        guaranteed_accuracy(growing, PeriodicSchedule([2.0]), w_bound=0.1, v_bound=0.1, timing_tolerance=0.5)
+        guaranteed_accuracy(growing, PeriodicSchedule([2.0]), w_bound=0.1, v_bound=0.1, timing_tolerance=0.9)
+
+
+@pytest.mark.parametrize(("rate", "late"), few([(3.0, 0.3), (1.0, 0.2), (-0.5, 0.3)], 0))
+def test_an_error_that_grows_is_that_from_the_earliest_sample_to_the_latest(rate, late):
+    """Of one state the last sample alone counts where the error grows: v e^{ah} + w (e^{ah} - 1)/a, h = T + 2d."""
+    plant, h = Plant([[rate]], [[1.0]]), 1.0 + 2 * late
+    exact = 0.1 * np.exp(rate * h) + np.expm1(rate * h) / rate
+    found = guaranteed_accuracy(plant, EVEN, w_bound=1.0, v_bound=0.1, timing_tolerance=late)
+    assert found.lower[0] == pytest.approx(exact, rel=1e-6)
+    assert exact <= found.upper[0] <= 1.07 * exact
+    assert found.verify()
+    assert found.profile.edges[0] == pytest.approx(1.0 + late)  # when the sample is known, whatever it is counted from
+    assert not replace(found, noise=found.noise * 0.98).verify()
+
+
+@pytest.mark.long
+def test_what_is_proven_about_the_latest_times_holds_at_all_and_of_finite_schedules():
+    growing = Plant([[0.0, 1.0], [2.0, 0.0]], [[1.0, 0.0]])
+    found = guaranteed_accuracy(growing, PeriodicSchedule([2.0]), w_bound=[0.1, 0.1], v_bound=0.1, timing_tolerance=0.5)
+    assert found.question.timing_tolerance.moved == 0.5
+    assert found.verify()
+    for k, row in enumerate(np.eye(2)):
+        assert _searched(growing, row, PeriodicSchedule([2.0]), 0.5, 0.1, 0.1) <= found.upper[k]
+    plant, schedule = Plant([[3.0]], [[1.0]]), Schedule([1.0, 2.0, 3.0])
+    exact = 0.1 * np.exp(4.8) + np.expm1(4.8) / 3
+    finite = guaranteed_accuracy(
+        plant, schedule, w_bound=1.0, v_bound=0.1, timing_tolerance=0.3, initial_error=1e-3, start=0.0
+    )
+    assert finite.verify()
+    assert finite.lower[0] <= finite.upper[0] <= 1.07 * exact
 
 
 def test_a_mode_that_only_late_samples_show_is_named():

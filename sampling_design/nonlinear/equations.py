@@ -164,6 +164,11 @@ class PlantEquations(Record):
         constant = slope.shape == (count, count) and slope.is_constant()
         return not count or bool(constant and np.array_equal(np.array(ca.DM(slope)), np.eye(count)))
 
+    @property
+    def shows_noise(self) -> bool:
+        """Whether v enters y at all."""
+        return not self.slopes_casadi(*self._symbols(), casadi().SX.sym("t"))[5].is_zero()
+
     def _symbols(self) -> list[SX]:
         """Symbols of x, u, w and v."""
         named = zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)

@@ -92,7 +92,7 @@ def simulate(
 def plant_along(plant: NonlinearPlant, x0: npt.ArrayLike, duration: float, u: npt.ArrayLike = ()) -> TimeVaryingPlant:
     """Return the small deviations from a nonlinear plant's trajectory from `x0`, with constant u and w = 0.
 
-        d' = f_x(t, x(t)) d + f_w w,    y = h_x(t, x(t)) d + h_v v,    d the deviation from x(t)
+        d' = f_x(t, x(t)) d + f_w w,    y = h_x(t, x(t)) d + v,    d the deviation from x(t)
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def plant_along(plant: NonlinearPlant, x0: npt.ArrayLike, duration: float, u: np
     Raises
     ------
     ArgumentError
-        If a size differs.
+        If a size differs, or noise that enters the outputs is not added to them: bounds on v would be others.
     SolverError
         If the trajectory cannot be followed.
     """
@@ -119,6 +119,8 @@ def plant_along(plant: NonlinearPlant, x0: npt.ArrayLike, duration: float, u: np
     control = checks.vector("u", given if given.size else np.zeros(plant.n_inputs), plant.n_inputs)
     end, scale = checks.positive("duration", duration), plant.states.scales
     still = np.zeros(plant.n_disturbances)
+    if not plant.adds_noise and plant.shows_noise:
+        raise ArgumentError("`plant` must add its noise to its outputs: write h = h(x, u) + v, v in units of y.")
 
     def rate(t: float, z: Array) -> Array:
         return np.array(plant.rate_casadi(z * scale, control, still, t)).ravel() / scale

@@ -46,6 +46,15 @@ def test_along_a_linear_plant_it_is_the_plant_itself():
     assert "horizon" in str(along)
 
 
+def test_noise_that_is_not_added_has_no_bound_beside_outputs():
+    """v of a relative error is no noise of y, whose bound would be taken for it."""
+    relative = NonlinearPlant(lambda x, u, w: [-x[0]], lambda x, u, v: [x[0] * (1 + v[0])], {"states": 1, "outputs": 1})
+    with pytest.raises(ArgumentError, match="`plant` must add its noise to its outputs"):
+        plant_along(relative, [2.0], 1.0)
+    unseen = NonlinearPlant(lambda x, u, w: [-x[0]], lambda x, u, v: [x[0]], {"states": 1, "outputs": 1})
+    assert plant_along(unseen, [2.0], 1.0).C(0.5) == [[1.0]]
+
+
 def test_bad_arguments_are_refused():
     with pytest.raises(ArgumentError, match="`times` must begin at 0 and go on"):
         TimeVaryingPlant.from_table([1.0, 2.0], [[[0.0]], [[2.0]]], [[[1.0]], [[3.0]]])

@@ -96,7 +96,7 @@ FORMAT = "sampling-design/plan/1"
 
 SAME = 1e-6  # figures worked out anew agree to this share
 
-UNSTARTED = " This is said of a plan that has been followed for ever; of its start nothing is proven."
+UNSTARTED = " This is said of a plan that has been followed for ever; its start was not looked at."
 
 
 @dataclass(frozen=True, eq=False, repr=False)

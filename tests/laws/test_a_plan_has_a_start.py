@@ -210,4 +210,4 @@ def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
     assert never.start.to_dict()["from_time"] is None
     assert "not proven to keep the tolerances at any time" in never.explain()
     assert sd.read_plan(never.save(tmp_path / "never.json")).start.from_time == np.inf
-    assert "followed for ever; of its start nothing is proven" in replace(plan, start=None).explain()
+    assert "followed for ever; its start was not looked at" in replace(plan, start=None).explain()

@@ -45,9 +45,9 @@ class ScheduleProof:
         efforts: SearchEffort,
         long_run: float = 0.0,
     ) -> None:
-        self.long_run = long_run  # lambda that the search expects there, where it has looked
-        # of the last check: its work, its room, and why it failed
+        self.long_run = long_run  # lambda that the search expects after many samples, where it has looked
         self.last_undecided: tuple[WorkLimit, float, UndecidedError] | None = None
+        """Of the last check: its work, its room, and why it failed."""
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, NoiseWeights(*weights[1:]), weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
@@ -85,24 +85,25 @@ class ScheduleProof:
         as the long run has it. What only took too much work is neither: then the wide room is next. Raises
         UndecidedError if the proof does not close, or not with the work that it may do.
         """
-        finer, efforts, again = 1, self.efforts, self.last_undecided
+        finer, efforts, earlier = 1, self.efforts, self.last_undecided
         anywhere, at_samples = self.peaks
         beyond = self.long_run / max(at_samples.value, 1.0)
-        far = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
-        in_balls, rooms = (ROOM[0] * beyond, iter([ROOM[0] * beyond])) if far else (1.0, iter(() if plainly else ROOM))
-        room = wider(rooms, *again[:2]) if again else 1.0
-        if again and (far or not room):  # all has been tried
-            raise again[2]
-        handed = bool(again)  # whether balls have left it undecided
+        beyond_windows = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
+        room_for_balls = ROOM[0] * beyond if beyond_windows else 1.0
+        rooms = iter([room_for_balls] if beyond_windows else () if plainly else ROOM)
+        room = wider(rooms, *earlier[:2]) if earlier else 1.0
+        if earlier and (beyond_windows or not room):  # all has been tried
+            raise earlier[2]
+        balls_tried = bool(earlier)  # whether balls have left it undecided
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
             content, stands = made.content, replays
             bare = replace(content, witness=None)
             verdict = verdict_on_schedule(bare, work := efforts.check())
-            open_to_balls = room == in_balls and not (handed or work.over or efforts.balls.over)
-            if verdict.verdict == "undecided" and open_to_balls and find_spec("flint") is not None:
+            for_balls = room == room_for_balls and not (balls_tried or work.over or efforts.balls.over)
+            if verdict.verdict == "undecided" and for_balls and find_spec("flint") is not None:
                 verdict, stands = decided_on_schedule(bare, efforts.check_in_balls()), replays_in_balls
-                handed = verdict.time is None  # a lambda that is hardly larger would not help
+                balls_tried = verdict.time is None  # a lambda that is hardly larger would not help
             if verdict.passed:  # a witness is true, but its replay may be lost in rounding
                 return as_proven(made if stands(content) else replace(made, witness=None))
             if efforts.over:

@@ -57,17 +57,14 @@ class NextSample(Record):
     alone : dict of str to float
         For each sensor of the plan, the latest time if that sensor is all that is read then.
     best : float
-        Of up to eight times spread over those up to `latest`, that after which the worst accuracy is least, with
-        `best_outputs`: by looks on the grid.
+        Of up to eight times up to `latest` that after which the worst accuracy is least, by looks on the grid.
     ratio : float
         What is proven of `latest`: accuracy over tolerance, from `kept_from` on and for ever after.
     proven : bool
-        Else `latest`, `ratio`, `kept_from` and `alone` are by looks on the grid: between its times, or where results
-        come in, more may be so.
+        Else all this rests on looks on the grid: between its times, or where results come in, more may be so.
     deadline : GoalDeadline or None
-        What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
-        first if it does, and when. None if it may come at any time of a whole period. Where no tolerance is exceeded
-        yet, but no sample keeps them all: the same of the sample at `latest`. None too, where `complete` is false.
+        Which goal reaches its tolerance first, and when, if the sample comes at the next allowed time after `latest`;
+        where no sample keeps them all, at `latest`. None if it may come at any time, or where `complete` is false.
     alone_deadlines : dict of str to GoalDeadline
         The same for each sensor alone.
     kept_from : float
@@ -76,7 +73,7 @@ class NextSample(Record):
         The goal that is above its tolerance now, since which look on the grid without a break, and how far.
     known : dict of str to float
         How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation. From a start of
-        which nothing is known: infinite where none of its errors shows, or for errors as of `PlanStart.bounded`.
+        which nothing is known it may be for errors up to a million times what samples leave, as in `PlanStart`.
     judged_until : float
         The first closed day with a sample of the plan that is too far ahead to be judged; inf if there is none.
     complete : bool
@@ -126,8 +123,7 @@ class NextSample(Record):
     def _beside(self, t: float) -> str:
         """A time in words next to the latest: on the same day its hour alone."""
         date, latest = self.date(t), self.date(self.latest)
-        same = date is not None and latest is not None and date.date() == latest.date()
-        return f"{date:%H:%M}" if same else self.when(t, self.now)
+        return f"{date:%H:%M}" if date and latest and date.date() == latest.date() else self.when(t, self.now)
 
     _answers = ("{_what}", "{_evidence}", "{ratio:4up} of the tolerance", "`next_sample` with `now` at `.latest`")
 
@@ -166,7 +162,6 @@ class NextSample(Record):
         return rows
 
     def _again(self) -> str:
-        """From when on every tolerance is kept again."""
         return f"from {self.when(self.kept_from)} on" if np.isfinite(self.kept_from) else "not known"
 
     def _later(self, deadline: GoalDeadline) -> str:
@@ -207,7 +202,6 @@ class NextSample(Record):
         return "by" if not spaced and own.size and own[0] >= t - tiny else "at"
 
     def _unproven(self) -> str:
-        """That an answer rests on looks alone, in words."""
         return "" if self.proven else f", by looks on the grid alone: {GRID_ALONE}"
 
     def _state(self) -> str:
@@ -262,8 +256,7 @@ def next_sample(
 ) -> NextSample:
     """Return how late the next sample may be for every tolerance to be kept from now on, for ever.
 
-    The search ends at the first time that it finds too late. If one cannot be kept: since when, how well it is known
-    now, and the sample that brings it back soonest.
+    If one cannot be kept: since when, how well it is known now, and the sample that brings it back soonest.
 
     Parameters
     ----------
@@ -277,8 +270,8 @@ def next_sample(
         A date (without a zone: by the plan's clocks), or the time that has passed since the plan's start [the plant's
         time unit]: a day on which clocks are put forward has 23 h. Default: the last sample of the record, else 0.
     awaited : iterable of (t, output)
-        Samples since the first one of the record that were taken and whose results are not in; each counts from its
-        `result_delay` on. One that should be in by now counts as lost. Without a record the plan's own are out.
+        Samples of the record whose results are not in; each counts from its `result_delay` on. One that should be in by
+        now counts as lost. Without a record the plan's own are out.
     prove : bool
         Prove the answer by gains over all real times; else it rests on the search alone.
     budget : float, optional [seconds]
@@ -291,8 +284,8 @@ def next_sample(
     Raises
     ------
     ArgumentError
-        If the plan does not keep its tolerances, the record is not in order, or what is awaited is no sensor with a
-        `result_delay`, was not taken by `now`, or is in the record.
+        If the plan does not keep its tolerances, the record is not in order, or what is awaited has no `result_delay`,
+        was not taken by `now`, or is in the record.
 
     Notes
     -----
@@ -300,14 +293,12 @@ def next_sample(
     `kept_from` on. That is `now` as long as samples come: this may be asked again after each, and has an answer
     (induction). What was broken before now is over, and all that was measured then counts. Samples of the plan on days
     that are known to be closed are left out, or what `plan_dates` puts in their place follows, up to `judged_until`.
-    After a miss it may be that no sample keeps every tolerance: then `latest` is that after which they are all kept
-    again soonest, and of equally soon ones the plan's own. *The naive trigger*, which waits until the accuracy now
-    reaches its tolerance, leaves states that no later sample can repair in time, and overshoots. *Other times.* Up to
-    the plan's own next sample any time is as good where the plan has no spacing: it is one sample more. Else one before
-    `latest` may break a tolerance, since the plan's samples before it are none of the record, and one beyond the next
-    allowed time may keep them all. *Assumptions.* The bounds, and later samples, and those before the record, up to the
-    plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it says. Results come
-    by their `result_delay`: what is awaited counts from then on, what is in counts now. It holds whatever is read.
+    After a miss no sample may keep every tolerance: then `latest` is that after which all are kept again soonest. Who
+    waits until the accuracy reaches its tolerance may find that no sample keeps it any more. *Other times.* Up to the
+    plan's own next sample any time is as good where the plan has no spacing. Else an earlier one may break a tolerance,
+    and one beyond the next allowed time may keep them all. *Assumptions.* The bounds; later samples, and those before
+    the record, up to the plan's `timing_tolerance` early or late, the next one too; those of the record were taken when
+    it says. Results come by their `result_delay`. It holds whatever is read.
 
     References
     ----------
@@ -315,13 +306,11 @@ def next_sample(
 
     Examples
     --------
-    >>> from sampling_design import Plant, PlanRequirement, plan_samples
-    >>> plant, gauge = Plant([[0.0]], [[1.0]], time_unit="h"), {"y1": {"noise_bound": 0.1}}
-    >>> wanted = PlanRequirement({"x1": 0.6}, period=4.0, grid=1.0, w_bound=0.1, sensors=gauge)
-    >>> plan = plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
-    >>> found = next_sample(plan, now=5.0)
-    >>> found.latest, found.outputs, found.proven
-    (8.0, ('y1',), True)
+    >>> import sampling_design as sd
+    >>> wanted = sd.PlanRequirement({"x1": 0.6}, period=4, grid=1, w_bound=0.1, sensors={"y1": {"noise_bound": 0.1}})
+    >>> plan = sd.plan_samples(sd.Plant([[0.0]], [[1.0]]), wanted, certificate=False, robustness=False)
+    >>> next_sample(plan, now=5.0).latest
+    8.0
     """
     if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")

@@ -77,10 +77,10 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> text = 'format = "sampling-design/requirement/1"\\nwindow = 4.0\\nsamples = 3'
+    >>> wanted = 'format = "sampling-design/requirement/1"\\nwindow = 4.0\\nsamples = 3'
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder) / "wanted.toml"
-    ...     characters = path.write_text(text)
+    ...     characters = path.write_text(wanted)
     ...     found = read_requirement(path)
     >>> found.window, found.samples
     (4.0, {'exactly': 3})

@@ -123,7 +123,11 @@ def _in_unit(frame: _PandasFrame | _PolarsFrame, unit: str) -> _PandasFrame | _P
     """The frame with spans of time as numbers of `unit`."""
     for name in [name for name in frame.columns if str(name).lower() in STAMPS and _kind(frame[name]) == "m"]:
         spans = {str(name): np.asarray(frame[name]) / np.timedelta64(1, "s") / SECONDS[unit]}
-        frame = frame.assign(**spans) if isinstance(frame, _PandasFrame) else frame.with_columns(**spans)
+        match frame:
+            case _PandasFrame():
+                frame = frame.assign(**spans)
+            case _PolarsFrame():
+                frame = frame.with_columns(**spans)
     return frame
 
 

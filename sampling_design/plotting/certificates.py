@@ -128,7 +128,7 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     low, high = 0.9, 1.3 * float(curve.least.max())
     ax.set_ylim(low, high)
     style.log_axis(ax)
-    ticks = style.told_apart(curve.samples)
+    ticks = style.distinct_times(curve.samples)
     ax.vlines(ticks, low, low * (high / low) ** 0.05, color=style.TRUTH, linewidth=1.0, label="samples")
     least.set_label(f"least: {short(curve.least[at], 5)} at {style.moment(ax, curve.t[at], curve.time_unit)}")
     style.time_axis(ax, curve.time_unit, f"time, window from {style.moment(ax, curve.start, curve.time_unit)}")

@@ -76,7 +76,7 @@ def _rows(schedule: Schedule | PeriodicSchedule) -> int:
 def _stems(ax: Axes, times: Array, outputs: Mask | None, rows: int, alpha: float) -> None:
     mask = np.ones((len(times), rows), dtype=bool) if outputs is None else outputs
     for row in range(rows):
-        chosen = style.told_apart(np.asarray(times)[mask[:, row]])
+        chosen = style.distinct_times(np.asarray(times)[mask[:, row]])
         ax.vlines(chosen, row - 0.32, row + 0.32, color=style.MEASURED, alpha=alpha, linewidth=1.8)
 
 

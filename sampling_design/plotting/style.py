@@ -337,7 +337,7 @@ def filled(
     )
 
 
-def told_apart(times: Array) -> Array:
+def distinct_times(times: Array) -> Array:
     """Return the times, in order, that a picture tells apart: of many one for each short stretch that has some."""
     if times.size <= 2 * COLUMNS:
         return times
@@ -347,7 +347,7 @@ def told_apart(times: Array) -> Array:
 
 def sample_ticks(ax: matplotlib.axes.Axes, times: Array) -> None:
     """Ticks at the bottom where samples are."""
-    times = told_apart(times)
+    times = distinct_times(times)
     ax.vlines(times, 0.0, 0.06, color=MEASURED, linewidth=0.8, transform=ax.get_xaxis_transform())
 
 

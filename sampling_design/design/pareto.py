@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import Tree, count, flag, list_of, nonnegative, number, or_nothing, table, text
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
@@ -194,7 +195,7 @@ def pareto_front(
     ArgumentError
         If there is no count, or `workers` is none of the above.
     FileFormatError
-        If `resume` belongs to another plant, requirement or option.
+        If `resume` belongs to another plant, requirement or option, or was changed.
 
     Notes
     -----
@@ -224,7 +225,8 @@ def pareto_front(
         known[point.samples] = point
         if resume is not None:
             done_by_now = ParetoFront(tuple(known[c] for c in sorted(known) if known[c].obstacle != NO_TIME))
-            write_text(resume, to_json({"format": FORMAT, "key": key, **done_by_now.to_dict()}))
+            written = {"format": FORMAT, "key": key, **done_by_now.to_dict()}
+            write_text(resume, to_json({**written, "digest": digest(written)}))
         if progress:
             progress((done + 1) / len(jobs), f"{counted(point.samples, 'sample')}: sigma {below(point.sigma)}")
     return ParetoFront(tuple(known[c] for c in wanted))
@@ -284,6 +286,8 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
         )
     with usable(where):
         points = [_read(entry) for entry in _POINTS(data.get("points"), "points")]
+    if data.get("digest") != digest(data):  # what a point proves is not proven again
+        raise FileFormatError(f"{where}: was changed since it was written. Name another file to resume from.", where)
     return {point.samples: point for point in points}
 
 

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from sampling_design import Plant, Requirement, pareto_front
+from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.record import below
 
@@ -46,7 +47,7 @@ def test_a_file_is_resumed_and_not_designed_again(tmp_path):
     assert alone.explain().startswith(f"3 samples per period: sigma {below(alone.points[0].sigma)}. If ")
     data = json.loads(path.read_text())
     data["points"][0]["sigma"] = 0.123  # a mark: a point that is designed again would lose it
-    path.write_text(json.dumps(data))
+    path.write_text(json.dumps({**data, "digest": digest(data)}))
     messages = []
     front = pareto_front(
         PLANT, REQUIREMENT, [3, 4], resume=path, progress=lambda f, m: messages.append((f, m)), **OPTIONS
@@ -85,6 +86,9 @@ def test_a_file_of_another_requirement_is_refused(tmp_path):
             lambda data: data["points"][0]["deviations"].update(tolerance=[0.1]),
             "deviations.tolerance` must have a length",
         ),
+        (lambda data: data["points"][0].update(sigma=data["points"][0]["sigma"] * 1.01), "was changed since"),
+        (lambda data: data["points"][0].update(samples=4), "was changed since"),
+        (lambda data: data.pop("digest"), "was changed since"),
     ],
 )
 def test_a_changed_file_is_refused_in_one_sentence(resumed, change, said):

@@ -95,16 +95,13 @@ class ComposedFlow:
     def _near(self, gaps: Sequence[float]) -> Array:
         """F, E and W over a few gaps of one level, (N, 3, n, n), each from the polynomial around its piece."""
         unit, norm, around = self._unit, self._norm, self._around
-        flow, powers = np.empty((len(gaps), len(self._kept))), np.ones((len(gaps), len(self._powers)))
-        digits = [int(h // unit) for h in gaps]
-        for k, digit in enumerate(digits):
-            powers[k, 1:] = (gaps[k] - digit * unit) * norm
-        powers = np.multiply.accumulate(powers, 1)
-        for k, digit in enumerate(digits):
+        flow, orders = np.empty((len(gaps), len(self._kept))), self._powers
+        for k, h in enumerate(gaps):
+            digit = int(h // unit)
             terms = around.get(digit)
             if terms is None:
                 terms = around[digit] = self._expanded(digit)
-            powers[k].dot(terms, flow[k])
+            np.power((h - digit * unit) * norm, orders).dot(terms, flow[k])
         return flow.take(self._whole, 1)
 
     def _expanded(self, digit: int) -> Array:

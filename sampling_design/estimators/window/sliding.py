@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +35,12 @@ HISTORIES = 64  # histories of one estimator that are remembered side by side
 _substituted = blas.dtbsv
 
 ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
-CANCELLED = 1e-4  # share of the reference's cost below which the least cost is not found as a difference from it
+CANCELLED = 1e-4  # share of the reference's cost below which the optimum becomes the reference, at two updates' price
 
-SETTLED = 1.0
+SETTLED = 0.1
 """Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes
 to come take their estimates for references: nearer to the optimum than what was predicted for them, at a twentieth of
-an update each. A lower share would show in the dual bound, whose margin counts what is gained."""
+an update each. A lower share would show in the dual bound, whose margin counts what is gained: this one by 1e-10."""
 
 FAR_OFF = 1e12
 """Sum of the squares of references and readings, in units of their weights, over the least cost, from which on rounding
@@ -125,7 +125,7 @@ class SlidingBand:
     """The nodes of one history as columns of the normal equations, oldest first.
 
     Unknown is the deviation from a reference: what was predicted for a node from the estimate before it; where costs
-    cancel (`SETTLED`), and where a history is begun anew, what was estimated for it.
+    cancel, what was estimated for it (`SETTLED`, and where a history is begun anew) or the optimum (`CANCELLED`).
     """
 
     def __init__(self, table: FlowTable, energy: Callable[[Array], float]):
@@ -148,16 +148,15 @@ class SlidingBand:
         self._gains: tuple[int, GapFlow | None, OutputInformation, GapFlow, Array, WindowGains] | None = None
         # what a sample at the start leaves of the last prior there, of the last outputs: Y, gain, and root of its cost
         self._absorbed: tuple[Array, OutputInformation, Array, Array, Array] | None = None
-        self._predicted: Array | None = None  # where the gap before the newest node leads from the estimate before it
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pull_before = np.zeros((ROOM, n)), np.zeros((ROOM, n))
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 + |x|^2
         self._sums = np.zeros((ROOM, 4))
         self._measured = np.zeros((ROOM, 3, len(self._C)))  # y, mask and D u
-        self._still = np.zeros(n)
         self._missed: list[Array] = []  # by how much the gap before a node leads elsewhere than to its reference
-        self._ones = np.ones(ROOM)
+        self._leading: list[Array | None] = []  # the estimate from which that gap leads to its reference, if one does
+        self._still, self._ones = np.zeros(n), np.ones(ROOM)
 
     @property
     def _parts(self) -> tuple[Array, ...]:
@@ -206,18 +205,15 @@ class SlidingBand:
         self._data.append(self._read(kind, new))
         self._reference.append(reference)
         self._missed.append(self._still)
+        self._leading.append(self.nodes[k - 1].x if predicted else None)
         weighed = self._weighed(k, d)
         self._sums[k, 1] = kind.energy * d
-        self._predicted = None
-        if not predicted:
+        if (estimated := self._leading[k]) is None or flow is None:
             self._untouched = False
             return weighed and self._joined(k, d)
-        last, estimated = self._reference[k - 1], self.nodes[k - 1].x
+        last = self._reference[k - 1]
         self._untouched = last is estimated
-        if self._untouched:
-            self._predicted = reference
-            return weighed
-        return weighed and self._joined(k, d, last - estimated)
+        return weighed and (self._untouched or self._joined(k, d, flow.F.dot(last - estimated)))
 
     def _read(self, kind: OutputInformation, node: IncomingNode | HistoryNode) -> Array:
         """Return y, room for a state, and D u where there may be any."""
@@ -238,20 +234,16 @@ class SlidingBand:
         sums[0], sums[3] = square * d, off.dot(off)
         return square < LARGEST_RESIDUAL**2
 
-    def _joined(self, k: int, d: float, ahead: Array | None = None) -> bool:
+    def _joined(self, k: int, d: float, moved: Array | None = None) -> bool:
         """Put down what the gap before the newest node costs between references; False where that overflows.
 
-        `ahead`: by how much the reference before is off from the state that leads to the newest one, where known.
+        `moved`: by how much it leads elsewhere than to the newest one, where that is known.
         """
         n, new = self._n, self._known[k]
         flow = new.flow
         if not k or flow is None or (joint := flow.joint) is None:
             return True
-        if ahead is not None:
-            moved = flow.F.dot(ahead)
-        elif self._predicted is not None:
-            moved = self._predicted - self._reference[k]
-        else:
+        if moved is None:
             moved = flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         self._missed[k] = moved
         g = moved.dot(d).dot(joint[n:])
@@ -264,16 +256,23 @@ class SlidingBand:
     def settle(self, node: HistoryNode) -> bool:
         """Take in what was estimated for the newest node; False where that cannot be weighed."""
         self.nodes.append(node)
-        return not self._cancelling or self._moved_to(node)
+        return not self._cancelling or self._moved_to(len(self._known) - 1, [node.x])
 
-    def _moved_to(self, node: HistoryNode) -> bool:
-        """Take the estimate of the newest node for its reference."""
-        k, eta, zero = len(self._known) - 1, self._eta, self._zero
-        self._reference[k] = node.x
-        if k and not self._untouched:  # without what the gap from there has pulled
-            self._weighed(k - 1, math.exp(eta * (self._known[k - 1].t - zero)))
-        d = math.exp(eta * (node.t - zero))
-        return self._weighed(k, d) and self._joined(k, d)
+    def _moved_to(self, first: int, states: Sequence[Array]) -> bool:
+        """Take states of the nodes from number `first` on for their references; False where these cannot be weighed."""
+        known, eta, zero, ahead, fit = self._known, self._eta, self._zero, self._still, True
+        if first and not (self._untouched and len(states) == 1):  # without what the gap from there has pulled
+            self._weighed(first - 1, math.exp(eta * (known[first - 1].t - zero)))
+        self._untouched = False
+        for k, x in enumerate(states, first):
+            flow, away = known[k].flow, x - self._reference[k]
+            moved = self._missed[k] - away
+            if k > first and flow is not None:
+                moved += flow.F.dot(ahead)
+            ahead, self._reference[k], self._leading[k] = away, x, None
+            d = math.exp(eta * (known[k].t - zero))
+            fit = fit and self._weighed(k, d) and self._joined(k, d, moved)
+        return fit
 
     def ends_with(self, node: HistoryNode) -> bool:
         """Whether the last entry, of which there is no node yet, is that of a node."""
@@ -296,7 +295,8 @@ class SlidingBand:
             part[:kept] = part[count : count + kept].copy()
             part[kept:] = 0.0
         self._banded, self._listed = max(self._banded - count, 0), max(self._listed - count, 0)
-        for held in (self.nodes, self._known, self._reference, self._outputs, self._data, self._missed):
+        histories = self.nodes, self._known, self._reference, self._outputs, self._data, self._missed, self._leading
+        for held in histories:
             del held[:count]
 
     def _columns(self, rows: slice) -> Array:
@@ -315,7 +315,12 @@ class SlidingBand:
         return work
 
     def solve(
-        self, first: int, initial: InitialNode, gap: tuple[GapFlow, Array], whole: bool = False
+        self,
+        first: int,
+        initial: InitialNode,
+        gap: tuple[GapFlow, Array],
+        whole: bool,
+        again: WindowGains | None = None,
     ) -> WindowOptimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
 
@@ -329,36 +334,34 @@ class SlidingBand:
         Notes
         -----
         *Method.* The window's start, where no weight is left but the prior's and a sample's, is eliminated first:
-        what is known of it arrives at the first node as one covariance.
+        what is known of it arrives at the first node as one covariance. Where the least cost is lost in the difference
+        from that of the reference, the optimum found becomes the reference, and is sought `again` with the same gains.
         """
         known, eta, zero = self._known, self._eta, self._zero
         later = known[-1].t - zero
         if eta * later > WIDEST or eta * (zero - initial.t) > WIDEST:
             return None
         d, end = math.exp(eta * (known[first].t - zero)), math.exp(eta * later)
-        x, Y, cost, noise = initial.x, initial.Y, 0.0, 0.0
-        if initial.node is None:
-            begun = self._held.dot(x)
-        else:
-            begin = math.exp(eta * (initial.t - zero))
-            x, Y, cost, noise, begun = self._opened(initial)
-            cost, noise = cost * begin, noise * begin
+        x, Y, cost, noise, begun = self._opened(initial)
         flow, drift = gap
         arrival = flow.arrival_information(Y)
         if arrival is None:
             return None
         information, band = arrival
         count, rows = len(known), slice(first, len(known))
-        right = self._pull[rows] + self._pull_before[rows]
-        moved = flow.F.dot(x) - self._reference[first]
-        if drift is not self._no_drift:
-            moved += drift
-        g = information.dot(moved.dot(d))
-        np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
+        right = self._pull[rows] + self._pull_before[rows]  # the gap before the first node is the window's own, below
         fit, energy, gaps, size = self._ones[rows].dot(self._sums[rows]).tolist()
-        size += float(begun.dot(begun))
-        cost += fit + gaps + float(moved.dot(g))
-        gains = self._gains_of_last_window(count - first, flow, Y)
+        size, cost = size + float(begun.dot(begun)), cost + fit + gaps
+        if x is self._leading[first] and flow is known[first].flow:
+            moved, right[0] = self._still, self._pull[first]
+        else:
+            moved = flow.F.dot(x) - self._reference[first]
+            if drift is not self._no_drift:
+                moved += drift
+            g = information.dot(moved.dot(d))
+            np.add(self._pull[first], g, right[0])
+            cost += float(moved.dot(g))
+        gains = again or self._gains_of_last_window(count - first, flow, Y)
         if gains is None:
             work = self._columns(rows)
             np.add(self._own[first], band * d, work[0])
@@ -371,9 +374,13 @@ class SlidingBand:
         if not math.isfinite(gain + cost):
             return None
         cost -= gain
-        self._cancelling = not (cost > SETTLED * gain and cost * FAR_OFF > size * end)
-        if not cost > CANCELLED * gain:
-            return None
+        far = not cost * FAR_OFF > size * end
+        self._cancelling = far or not cost > SETTLED * gain
+        if not cost > CANCELLED * gain or (far and again):
+            away = gains.applied(right, end, True)[0].reshape(-1, self._n)
+            if again or not self._moved_to(first, list(np.array(self._reference[first:]) + away)):
+                return None
+            return self.solve(first, initial, gap, whole, gains)
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
         path = self._path(first, x, Y, moved, deviation, flow) if whole else None
         newest, energy = self._reference[-1] + deviation[-self._n :], (energy + noise) / end
@@ -415,9 +422,10 @@ class SlidingBand:
         return gains if same and arriving is flow and prior is Y else None
 
     def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, Array]:
-        """Return state and covariance after the sample at the start, its cost and noise bound; sizes of data."""
+        """Return state and covariance after a sample at the start, if any; its cost and noise bound; sizes of data."""
         node = initial.node
-        assert node is not None
+        if node is None:
+            return initial.x, initial.Y, 0.0, 0.0, self._held.dot(initial.x)
         kind = self.output_information(node.mask)
         data, p, n = self._read(kind, node), self._p, self._n
         data[p : p + n] = initial.x
@@ -427,8 +435,8 @@ class SlidingBand:
             root, gain, half = root_update(covariance_root(initial.Y), rows, np.eye(innovation.size))
             self._absorbed = initial.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
-        missed = half.dot(innovation)
-        return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, off
+        missed, begin = half.dot(innovation), math.exp(self._eta * (initial.t - self._zero))
+        return initial.x + gain.dot(innovation), Y, float(missed @ missed) * begin, kind.energy * begin, off
 
 
 class BandCache:
@@ -481,10 +489,7 @@ def _factored(work: Array, end: float) -> WindowGains | None:
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
     factor, flag = lapack.dpbtrf(band, 1, overwrite_ab=1)
-    if flag:
-        return None
-    pivots = factor[0]
-    if not np.minimum.reduce(pivots * pivots / diagonal) > PIVOT_LIMIT:
+    if flag or not np.minimum.reduce(factor[0] * factor[0] / diagonal) > PIVOT_LIMIT:
         return None
     # the last diagonal block, as a view; above its diagonal the band's zeros below the last row
     step = work.itemsize

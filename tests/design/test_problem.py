@@ -207,7 +207,7 @@ def test_a_plant_whose_outputs_are_never_there_long_enough_is_offered_longer_hou
     plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), np.kron(np.eye(2), [[1.0, 0.0]]))
     outputs = {"y1": {"available": [[0.0, 0.01]], "price": 2.0}, "y2": {"available": [[0.0, 0.01]]}}
     asked = Requirement(window=4.0, spacing=4.0, samples=2, sensors=outputs)
-    with pytest.raises(InfeasibleRequirementError, match="room for 1 samples in the period 4, 2 are asked") as caught:
+    with pytest.raises(InfeasibleRequirementError, match="room for 1 sample in the period 4, 2 are asked") as caught:
         design_schedule(plant, asked)
     assert design_schedule(plant, asked.replace(**caught.value.nearest), starts=1).schedule is not None
 

@@ -221,7 +221,7 @@ def test_records_with_dates_follow_each_other_on_one_clock():
     assert found[2].to_frame().index[0].isoformat() == "2026-03-06T16:00:00+00:00"
     one_by_one.start()
     assert one_by_one.run(frame[1:]).times[0] == 0.0
-    with pytest.raises(ArgumentError, match=r"\(latest sample at 48.0\)\. `start\(\)` forgets all samples"):
+    with pytest.raises(ArgumentError, match=r"\(latest sample at 48.0\)\. `maximum_delay` keeps more, `start"):
         one_by_one.run(frame[:1])
 
 

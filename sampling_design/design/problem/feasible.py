@@ -10,6 +10,7 @@ import numpy as np
 from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.records.arrays import Array
+from sampling_design.records.record import counted
 from sampling_design.schedules.sensor import complement
 
 _REPAIRS = 5  # constraints that may have to give way together
@@ -116,7 +117,7 @@ def _room(problem: DesignProblem) -> InfeasibleConstraint | None:
     widest = _widest_spacing(problem)
     limited = int(np.floor(period / eps * (1 + SLACK))) > room
     what = "`forbidden` and `fixed` times leave" if limited else f"`spacing` {eps:g} leaves"
-    words = f"{what} room for {room} samples in the period {period:g}, {k} are asked for."
+    words = f"{what} room for {counted(room, 'sample')} in the period {period:g}, {k} are asked for."
     changes: tuple[Change, ...] = (
         *(({"samples": room},) if room else ()),
         *((_narrower(problem, widest),) if widest > 0 else ()),

@@ -227,7 +227,7 @@ class OnlineEstimator(Displayable, ABC):
         if t < oldest:
             raise ArgumentError(
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
-                f"samples (latest sample at {last!r}). `start()` forgets all samples."
+                f"samples (latest sample at {last!r}). `maximum_delay` keeps more, `start()` forgets all."
             )
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:

@@ -369,3 +369,21 @@ def test_the_other_mean_would_be_no_bound(spiral, monkeypatch):
     monkeypatch.setattr(module, "_harmonic", lambda Y, Z, a, b: a * Y + b * Z)
     wrong = random_arrivals(spiral, 0.4, horizon=2 * spiral.schedule.period)
     assert np.any(wrong.factor[:, 0] > 1.01 * exact.factor[:, 0])
+
+
+def test_bounds_of_a_sample_hold_where_a_row_sees_growth_at_a_slant():
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        grown, row = rng.standard_normal(3), rng.standard_normal((1, 3))
+        row -= (1 - 10.0 ** -rng.uniform(0, 3)) * (row @ grown) / (grown @ grown) * grown
+        Y = 1e14 * np.outer(grown, grown) + np.diag(rng.uniform(0.1, 1.0, 3))
+        with mp.workdps(50):
+            exact, c = mp.matrix(Y.tolist()), mp.matrix(row.tolist())
+            cross = exact * c.T
+            exact -= cross * cross.T / (1 + (c * cross)[0])
+            over, under = (
+                [way(Y[None], row)[0][i, j] - exact[i, j] for i in range(3) for j in range(3)]
+                for way in (module._updated, module._updated_below)
+            )
+        assert np.linalg.eigvalsh(np.array(over, dtype=float).reshape(3, 3))[0] >= 0
+        assert np.linalg.eigvalsh(np.array(under, dtype=float).reshape(3, 3))[-1] <= 0

@@ -35,19 +35,29 @@ TIED = 1e-9  # share by which probabilities may differ by rounding: of two such 
 
 def _updated(Y: Array, rows: Array) -> Array:
     """Y after a sample, raised by its rounding: what was large and is seen leaves an error of either sign."""
-    return np.asarray(measurement_update(Y, rows) + _rounding(Y)[:, None, None] * np.eye(Y.shape[1]))
+    for row in _one_by_one(rows):
+        Y = measurement_update(Y, row) + _rounding(Y, row)[:, None, None] * np.eye(Y.shape[1])
+    return Y
 
 
 def _updated_below(Y: Array, rows: Array) -> Array:
     """Y after a sample, its eigenvalues lowered by its rounding; what is less than that may be nothing."""
-    values, vectors = np.linalg.eigh(measurement_update(Y, rows))
-    values = np.maximum(values - _rounding(Y)[:, None], 0.0)
-    return symmetrise((vectors * values[:, None, :]) @ vectors.swapaxes(1, 2))
+    for row in _one_by_one(rows):
+        values, vectors = np.linalg.eigh(measurement_update(Y, row))
+        values = np.maximum(values - _rounding(Y, row)[:, None], 0.0)
+        Y = symmetrise((vectors * values[:, None, :]) @ vectors.swapaxes(1, 2))
+    return Y
 
 
-def _rounding(Y: Array) -> Array:
-    """A bound of the rounding of a step that begins with Y."""
-    return np.asarray(8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2))
+def _one_by_one(rows: Array) -> list[Array]:
+    return [rows[..., k : k + 1, :] for k in range(rows.shape[-2])]
+
+
+def _rounding(Y: Array, row: Array) -> Array:
+    """A bound of the rounding of a reading that begins with Y: |I - K C| makes of it what a row at a slant sees."""
+    cross = Y @ row.swapaxes(-1, -2)
+    slant = np.linalg.norm(cross / (1 + row @ cross), axis=(1, 2)) * np.linalg.norm(row, axis=(-2, -1))
+    return np.asarray(8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2) * (1 + slant) ** 2)
 
 
 class _RandomSample(NamedTuple):

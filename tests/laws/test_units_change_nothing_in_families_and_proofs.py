@@ -7,7 +7,18 @@ import os
 import numpy as np
 import pytest
 
-from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows, certify, robustness
+from sampling_design import (
+    GapRange,
+    Jitter,
+    LostSamples,
+    PeriodicSchedule,
+    Plant,
+    SpacedWindows,
+    UncertainParameter,
+    UncertainPlant,
+    certify,
+    robustness,
+)
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.exact.bound_weights import weights_from_bounds
@@ -16,6 +27,8 @@ from sampling_design.certificates.families.certify_family import FamilySearch, c
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.errors import SamplingDesignError
+from sampling_design.plants.plant import Signals
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from tests.cases import few
 from tests.rescale import Units
 
@@ -199,3 +212,13 @@ def test_families_with_weights_of_their_own(seed):
         assert there is here
         return
     assert there.horizon().minimum == pytest.approx(units.time * here.horizon().minimum, rel=EXACT)
+
+
+@pytest.mark.parametrize("D", [1.0, 7.0, 1e-5, 1e8])
+def test_units_cost_an_inclusion_no_information(D):
+    """A rate in [.6, 1.4] leaves P < 1.2 - eta at lambda = 1, of which a turn that narrows nothing gave up a third."""
+    plant = Plant([[-1.0]], [[1 / D]], G=[[D]], states=Signals(("x",), (), [D]))
+    model = UncertainPlant(plant, [UncertainParameter("rate", -0.4, 0.4, A=[[1.0]], nominal=0.0)])
+    found = certify_inclusion(model, GapRange(0.7, 0.9), eta=0.3, pieces=3)
+    assert found.lam < 1 + 1e-4
+    assert 0.89 < found.P[0, 0, 0] * D**2 < 0.9

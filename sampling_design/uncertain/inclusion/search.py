@@ -243,7 +243,7 @@ class InclusionSearch(InclusionPlants):
             if not found.ends[0] > 0:
                 break
             done = found.lam > NARROW_ENOUGH * best.lam
-            best = found if found.lam < best.lam else best
+            best = found if found.lam < (1 - ROOM) * best.lam else best  # less is rounding, and may cost information
             if done:
                 break
             search = InclusionProgram(current, self.budget.seconds_left())

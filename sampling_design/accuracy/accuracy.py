@@ -163,7 +163,8 @@ def guaranteed_accuracy(
         if found and (limit.over or _is_narrow(found[0], tolerance)):
             break
         try:
-            answer = answer_of(question.about(by) if by else question, rows, tolerance, limit, deviation, progress)
+            asked, told = (question.about(by), None) if by else (question, progress)
+            answer = answer_of(asked, rows, tolerance, limit, deviation, told)
         except UndecidedError as error:
             if why is None:
                 why = error

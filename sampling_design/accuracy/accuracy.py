@@ -157,22 +157,18 @@ def guaranteed_accuracy(
     deviation = None
     if w_intensity is not None or v_deviation is not None:
         deviation = deviations(question, rows, w_intensity, v_deviation)
-    found = list[Accuracy]()
-    late, why = question.timing_tolerance, None
-    for by in [0.0, float(late.forward.min()), -float(late.back.min())] if late else [0.0]:
+    late, found, why = question.timing_tolerance, list[Accuracy](), None
+    for by in dict.fromkeys([0.0, float(late.forward.min()), -float(late.back.min())]):
         if found and (limit.over or _is_narrow(found[0], tolerance)):
             break
         try:
             asked, told = (question.about(by), None) if by else (question, progress)
             answer = answer_of(asked, rows, tolerance, limit, deviation, told)
         except UndecidedError as error:
-            if why is None:
-                why = error
+            why = why or error
             continue
-        if not by or (
-            np.isfinite(answer.upper).any() and answer.verify()
-        ):  # else what stands for times outgrew doubles
-            found.append(answer)
+        outgrown = by and not (np.isfinite(answer.upper).any() and answer.verify())  # doubles, by what stands for times
+        found += [] if outgrown else [answer]
     if not found and why is not None:
         raise why
     return min(found, key=lambda each: float(np.sum(np.log(each.upper[each.upper > 0]))))

@@ -160,8 +160,9 @@ class ScheduleLog(TableRecord):
         """Say what the deviations cost."""
         missed, planned, away = self.missed.size, len(self.planned), self.largest_deviation
         near = f"within {spoken(away, self.time_unit)} of" if away else "at"
-        text = f"{missed} of {planned} planned samples were missed"
-        text += f", the others came {near} their times. " if missed < planned else ". "
+        others = f", the others came {near} their times" if missed < planned else ""
+        text = f"{missed} of {planned} planned samples were missed{others}. "
+        text = text if missed else f"All {planned} planned samples came {near} their times. "
         if self.decays:
             return text + "Every mode decays by itself, so that no window needs a sample and no sigma is compared."
         if self.planned_sigma is None or self.actual_sigma is None:

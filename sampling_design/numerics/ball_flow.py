@@ -88,6 +88,7 @@ class BallFlow:
 
     def __init__(self, A: Matrix, S: Matrix) -> None:
         self.A, self.S, self.n = A, S, A.nrows()
+        self.undriven = all(entry == 0 for entry in S.entries())
         self.At, self.square = A.transpose(), A * A
         self.constant = A * S + S * self.At
         self.identity = identity(self.n)
@@ -149,12 +150,14 @@ class BallFlow:
             doublings = max(0, int(np.ceil(np.log2(max(float(duration) * self.size, 1e-300)))) + 1)
             F, W = self._short_flow(duration / 2**doublings)
             for _ in range(doublings):
-                W, F = W + F * W * F.transpose(), F * F
+                W, F = W if self.undriven else W + F * W * F.transpose(), F * F
             self._kept[key] = F, W
         return self._kept[key]
 
     def _short_flow(self, h: Ball) -> tuple[Matrix, Matrix]:
         n = self.n
+        if self.undriven:
+            return (self.A * h).exp() if n else self.A, self.S
         block = flint().arb_mat(2 * n, 2 * n)
         for i in range(n):
             for j in range(n):
@@ -164,15 +167,14 @@ class BallFlow:
                     self.A[j, i] * h,
                 )
         E = block.exp().tolist()
-        if not n:
-            return self.A, self.S
         F = flint().arb_mat([row[n:] for row in E[n:]]).transpose()
         return F, F * flint().arb_mat([row[n:] for row in E[:n]])
 
     def step(self, Y: Matrix, duration: Ball) -> Matrix:
         """Return Y after `duration`."""
         F, W = self.over(duration)
-        return F * Y * F.transpose() + W
+        stepped = F * Y * F.transpose()
+        return stepped if self.undriven else stepped + W
 
     def second(self, Y: Matrix) -> Matrix:
         """Return Y''."""

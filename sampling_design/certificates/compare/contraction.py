@@ -125,13 +125,17 @@ def least_contracting(certificate: Certificate, cost: str = "certificate", budge
     UndecidedError
         If the budget ends before.
     """
-    given = Budget(None if budget is None else checks.positive("budget", budget))
+    return contracting_within(Budget(None if budget is None else checks.positive("budget", budget)), certificate, cost)
+
+
+def contracting_within(given: Budget, certificate: Certificate, cost: str = "certificate") -> float:
+    """`least_contracting` within a budget of which something may be spent already."""
     schedule = period_of(certificate.schedule, FINITE)
     lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
     best = np.inf
     for length in lengths[::-1]:
         if given.over:
-            raise UndecidedError(f"undecided: not every length was tried within `budget` = {budget:g} s.")
+            raise UndecidedError(f"undecided: not every length was tried within `budget` = {given.seconds:g} s.")
         if spectral_radius(certificate, float(length), cost) >= 1:
             break
         best = float(length)

@@ -5,16 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sampling_design.certificates.certification import certify
-from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
+from sampling_design.certificates.compare.contraction import contracting_within, spectral_radius
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.declarations import above, in_latex, latex_table
 from sampling_design.records.record import ListRecord, markdown_table
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
+
+FOR_SEARCH = 2 / 3  # of the seconds, for a certificate that is not given: what is left is the true contraction's
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ class FourHorizons(ListRecord[HorizonRow]):
     proof : ProofConstants or None
         None where the paper's hypotheses fail or the schedule is finite.
     radius : float or None
-        Spectral radius of the true error map over one window of the recommended improved length.
+        Spectral radius of the true error map over one window of the recommended improved length; None where the budget
+        ended before.
     """
 
     rows: tuple[HorizonRow, ...]
@@ -136,7 +141,8 @@ def four_horizons(
     proof_constants : ProofConstants, optional
         Default `constants_from_proof(plant, schedule)`; where the paper's hypotheses fail the row says why.
     budget : float, optional [seconds]
-        Of the true contraction and of `radius`, which come last; where it ends before, the row says so.
+        Two thirds are the search's for a certificate that is not given; true contraction and `radius` come last, and
+        where it ends before, the row says so.
 
     Returns
     -------
@@ -148,6 +154,8 @@ def four_horizons(
         If what is given belongs to another plant.
     CertificateError
         If no certificate exists.
+    UndecidedError
+        If none is given and none is proven within the budget.
 
     Notes
     -----
@@ -167,7 +175,8 @@ def four_horizons(
     for name, given in (("certificate", certificate), ("proof_constants", proof_constants)):
         if given is not None and (other := first_difference(plant, given.plant)):
             raise ArgumentError(f"`{name}` belongs to another plant: {other}.")
-    exact = certify(plant, schedule) if certificate is None else certificate
+    given = Budget(None if budget is None else checks.positive("budget", budget))
+    exact = certify(plant, schedule, budget=given.seconds_left(share=FOR_SEARCH)) if certificate is None else certificate
     note = ""
     proof = proof_constants
     if proof is None:
@@ -181,7 +190,7 @@ def four_horizons(
     true, missing = None, "" if periodic else "a finite schedule has none"
     if periodic:
         try:
-            true = least_contracting(exact, budget=budget)
+            true = contracting_within(given, exact)
         except UndecidedError as error:
             missing = str(error)
     rows = (
@@ -192,5 +201,5 @@ def four_horizons(
         HorizonRow("exact, improved", "Riccati and the improved theorem", improved.minimum, improved),
         HorizonRow("true contraction", "spectral radius", true, None, missing),
     )
-    radius = None if true is None else spectral_radius(exact, improved.length)
+    radius = None if true is None or given.over else spectral_radius(exact, improved.length)
     return FourHorizons(rows, exact, proof, radius)

@@ -7,19 +7,29 @@ states, so that steps along it are as long in any units: only |Y| is taken in th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from fractions import Fraction
 
 import numpy as np
 
 from sampling_design.numerics.ball_flow import BallFlow, highest
-from sampling_design.numerics.balls import Ball, Matrix, ball, flint, floats, largest, matrix, precision, rational
+from sampling_design.numerics.balls import (
+    Ball,
+    Matrix,
+    ball,
+    flint,
+    floats,
+    identity,
+    largest,
+    matrix,
+    precision,
+    rational,
+)
 from sampling_design.numerics.linalg import positive_or_one, symmetrise
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -81,7 +91,12 @@ def nearest_proven(
 
 
 def prove_window_sigma(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, guess: float, seconds: float = 60.0
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    pieces: WindowPieces,
+    guess: float,
+    seconds: float = 60.0,
+    rows: BallRows | None = None,
 ) -> ProvenSigma:
     """Prove a lower bound of sigma over all real window positions: see `nearest_proven`.
 
@@ -89,17 +104,12 @@ def prove_window_sigma(
 
     `times` and `period` of the schedule are the doubles that the theorem is about. `slack` is zero where no two events
     were joined: samples that leave and arrive within rounding of each other count as one event, and `slack` is that
-    distance.
+    distance. `rows` may hold what `sigma_in_balls` worked out.
     """
-    exact = exact_times(schedule, pieces)
+    rows = BallRows(plant, schedule, pieces) if rows is None else rows
 
     def begin(clock: Budget) -> Callable[[float], bool]:
-        rows, starts = BallRows(plant), []
-        for g in range(len(pieces)):
-            left, right = piece_ends(schedule, pieces, g)
-            span = slice(int(pieces.first[g]), int(pieces.stop[g]))
-            Y = rows.gramian(exact[span], left, pieces.measured(g)).inv()
-            starts.append((Y, rows.own_units(Y), rational(right - left)))
+        starts = [(Y, rows.own_units(Y), length) for Y, length in rows.inverses(clock)]
 
         def proves(mu: float) -> bool:
             limit = (1 / ball(mu) ** 2).lower()
@@ -107,41 +117,36 @@ def prove_window_sigma(
 
         return proves
 
-    return nearest_proven(guess, seconds, begin, slack=needed_slack(schedule, pieces, exact), precisions=PRECISIONS)
+    return nearest_proven(guess, seconds, begin, slack=needed_slack(schedule, pieces, rows.exact), precisions=PRECISIONS)
 
 
-def sigma_in_balls(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, seconds: float = 60.0
-) -> WindowWitness | None:
+def sigma_in_balls(rows: BallRows, clock: Budget) -> WindowWitness | None:
     """The least sigma among some windows of every piece, where growth hides it from floats; None where it is zero.
 
     A sigma below n eps |C| counts as zero: rounding in the plant and the times alone can hide it.
+
+    Raises BudgetSpentError if the clock ends before that is known.
     """
-    clock, exact = Budget(seconds), exact_times(schedule, pieces)
+    plant = rows.plant
     least = plant.n_states * float(np.finfo(float).eps) * float(np.linalg.norm(plant.C))
     for bits in PRECISIONS:
         with precision(bits):
             try:
-                exact_sigma = _observed(plant, schedule, pieces, exact, clock)
-            except BudgetSpentError:
-                return None
+                exact_sigma = _observed(rows, clock)
             except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
                 continue
         return exact_sigma if exact_sigma.sigma > least else None
     return None
 
 
-def _observed(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, exact: list[Fraction], clock: Budget
-) -> WindowWitness:
+def _observed(rows: BallRows, clock: Budget) -> WindowWitness:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
-    rows = BallRows(plant)
+    pieces, plant = rows.pieces, rows.plant
     at, best = (0, float(pieces.left[0])), pieces.witness(0, float(pieces.left[0]), np.zeros(plant.n_states), np.inf)
 
-    def look(g: int, left: Fraction, right: Fraction) -> None:
+    def look(g: int, left: Fraction, right: Fraction, Y: Matrix) -> None:
         nonlocal at, best
-        span = slice(int(pieces.first[g]), int(pieces.stop[g]))
-        Y, step = rows.gramian(exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
+        step = (right - left) / (PLACES - 1)
         E = rows.flow.over(rational(step))[0]
         for k in range(PLACES):
             values, vectors = np.linalg.eigh(symmetrise(floats(Y)))
@@ -152,14 +157,17 @@ def _observed(
             Y = E * Y * E.transpose()
             clock.check()
 
-    for g in range(len(pieces)):
-        look(g, *piece_ends(schedule, pieces, g))
-    left, right = piece_ends(schedule, pieces, at[0])
+    starts = []
+    for g, (Y, _) in enumerate(rows.inverses(clock)):
+        starts.append(Y)
+        look(g, *piece_ends(rows.schedule, pieces, g), Y)
+    left, right = piece_ends(rows.schedule, pieces, at[0])
     near = right - left
     for _ in range(ZOOMS):
         near = near * 2 / (PLACES - 1)
         middle = min(max(Fraction(at[1]), left), right)
-        look(at[0], max(left, middle - near / 2), min(right, middle + near / 2))
+        begin, end = max(left, middle - near / 2), min(right, middle + near / 2)
+        look(at[0], begin, end, rows.flow.step(starts[at[0]], rational(begin - left)))
     return best
 
 
@@ -203,30 +211,85 @@ def piece_ends(schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, g: i
 
 
 class BallRows:
-    """Flow and outputs of a plant, in balls."""
+    """Flow and outputs of a plant along window pieces of a schedule, in balls."""
 
-    def __init__(self, plant: Plant) -> None:
-        self.C, self.flow = plant.C, BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A)))
-        self._kept: dict[bytes, Matrix] = {}
-        self._flows: dict[tuple[float, ...], BallFlow] = {}
+    def __init__(self, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces) -> None:
+        self.plant, self.schedule, self.pieces = plant, schedule, pieces
+        self.exact, self._bits = exact_times(schedule, pieces), 0
+        self._begin()
 
-    def of(self, measured: Mask) -> Matrix:
-        """C'C of the outputs that a sample measures."""
+    def _begin(self) -> None:
+        """Keep nothing of another precision."""
+        if self._bits != (bits := int(flint().ctx.prec)):
+            self._bits = bits
+            self.flow = BallFlow(matrix(self.plant.A), matrix(np.zeros_like(self.plant.A)))
+            self._outputs: dict[bytes, Matrix] = {}
+            self._flows: dict[tuple[float, ...], BallFlow] = {}
+            self._inverses: list[tuple[Matrix, Ball]] = []
+
+    def inverses(self, clock: Budget) -> Iterator[tuple[Matrix, Ball]]:
+        """Yield Y = (O'O)^-1 at the left end of each piece, and its length, at the precision that is set.
+
+        Raises ZeroDivisionError if one is not certainly invertible, BudgetSpentError if the clock ends.
+        """
+        self._begin()
+        if len(self._inverses) == len(self.pieces):
+            yield from self._inverses
+            return
+        self._inverses = []
+        for g, G in enumerate(self._gramians(clock)):
+            left, right = piece_ends(self.schedule, self.pieces, g)
+            self._inverses.append((G.inv(), rational(right - left)))
+            yield self._inverses[-1]
+
+    def _outputs_of(self, k: int) -> Matrix:
+        """The rows of C that sample k measures."""
+        measured = np.ones(len(self.plant.C), dtype=bool) if self.pieces.mask is None else self.pieces.mask[k]
         key = measured.tobytes()
-        if key not in self._kept:
-            C = matrix(self.C[measured])
-            self._kept[key] = C.transpose() * C
-        return self._kept[key]
+        if key not in self._outputs:
+            self._outputs[key] = matrix(self.plant.C[measured])
+        return self._outputs[key]
 
-    def gramian(self, times: list[Fraction], start: Fraction, mask: Mask | None) -> Matrix:
-        """Sum of e^{A'(tau - start)} C'C e^{A (tau - start)}, from the last sample back to the first."""
-        n = self.C.shape[1]
-        G, whole = matrix(np.zeros((n, n))), np.ones(self.C.shape[0], dtype=bool)
-        for k in range(len(times) - 1, -1, -1):
-            G = G + self.of(whole if mask is None else mask[k])
-            E = self.flow.over(rational(times[k] - (times[k - 1] if k else start)))[0]
-            G = E.transpose() * G * E
-        return G
+    def _gramians(self, clock: Budget) -> Iterator[Matrix]:
+        """Yield the Gramian of each piece at its left end, as a queue of two stacks: no sample is ever subtracted.
+
+        What was in the window when the first stack was filled is held from the end on, G_k and the flow from sample k
+        to the last of them; what came later is one Gramian at that last one. A window takes a few products, not two for
+        each of its samples.
+        """
+        stack: dict[int, tuple[Matrix, Matrix]] = {}
+        n, middle, reached = self.plant.n_states, 0, 0
+        later, passed = matrix(np.zeros((n, n))), identity(n)
+
+        def crossed(k: int, since: Fraction) -> Matrix:
+            clock.check()
+            F: Matrix = self.flow.over(rational(self.exact[k] - since))[0]
+            return F
+
+        for g in range(len(self.pieces)):
+            first, stop = int(self.pieces.first[g]), int(self.pieces.stop[g])
+            if first >= middle:
+                stack, middle, reached = {}, stop, stop
+                later, passed, G = matrix(np.zeros((n, n))), identity(n), matrix(np.zeros((n, n)))
+                F = identity(n)
+                for k in range(stop - 1, first - 1, -1):
+                    if k + 1 < stop:
+                        E = crossed(k + 1, self.exact[k])
+                        G, F = E.transpose() * G * E, F * E
+                    C = self._outputs_of(k)
+                    G = G + C.transpose() * C
+                    stack[k] = G, F
+            for k in range(reached, stop):
+                passed = crossed(k, self.exact[k - 1]) * passed
+                rows = self._outputs_of(k) * passed
+                later = later + rows.transpose() * rows
+            reached = stop
+            if first == stop:
+                yield later
+                continue
+            G, F = stack[first]
+            E = crossed(first, Fraction(float(self.pieces.left[g])))
+            yield E.transpose() * (G + F.transpose() * later * F) * E
 
     def own_units(self, Y: Matrix) -> tuple[float, ...]:
         """Units of the states, powers of two, in which Y has a diagonal near one; any units would be sound."""

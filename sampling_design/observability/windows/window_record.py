@@ -21,7 +21,7 @@ from sampling_design.plants.functional import rows_counted, wider_beside
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
-from sampling_design.records.budget import Budget, Progress
+from sampling_design.records.budget import Budget, BudgetSpentError, Progress
 from sampling_design.records.declarations import Column, above, below
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, moment, short
@@ -239,10 +239,9 @@ def sigma_of_pieces(
     if pieces.timing_tolerance:
         late = pieces.timing_tolerance
         return _with_tolerance(result, own, found, counted) if own.n_states else replace(result, late=late)
-    if rigorous:
-        return _in_balls(result, own, schedule, pieces, seconds)
-    if handed_over and _hidden(found) and find_spec("flint") is not None:
-        return _in_balls(result, own, schedule, pieces, min(seconds, handed_over))
+    hidden = handed_over and _hidden(found) and find_spec("flint") is not None
+    if rigorous or hidden:
+        return _in_balls(result, own, schedule, pieces, seconds, np.inf if rigorous else handed_over)
     return result
 
 
@@ -268,16 +267,30 @@ def _hidden(found: WindowBracket) -> bool:
 
 
 def _in_balls(
-    result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, seconds: float
+    result: WindowSigma,
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    pieces: WindowPieces,
+    seconds: float,
+    most: float,
 ) -> WindowSigma:
-    """The record with the lower bound that ball arithmetic proves."""
-    from sampling_design.observability.windows.balls import prove_window_sigma, sigma_in_balls
+    """The record with the lower bound that ball arithmetic proves, within what is left of a budget and `most`.
 
+    Where it is the budget that ends before balls have said whether sigma is zero, that is not known.
+    """
+    from sampling_design.observability.windows.balls import BallRows, prove_window_sigma, sigma_in_balls
+
+    clock, rows = Budget(min(seconds, most)), BallRows(plant, schedule, pieces)
     if result.status in ("below rounding", "rounding"):
-        witness = sigma_in_balls(plant, schedule, pieces, seconds)
+        try:
+            witness = sigma_in_balls(rows, clock)
+        except BudgetSpentError:
+            return result if most <= seconds else replace(result, status="budget")
+        except KeyboardInterrupt:
+            return replace(result, status="interrupted")
         if witness is not None:
             result = replace(result, lower=witness.sigma, upper=witness.sigma, witness=witness, status="closed")
-    proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
+    proof = prove_window_sigma(plant, schedule, pieces, result.lower, clock.left, rows)
     result = in_balls(result, proof)
     return replace(result, slack=proof.slack) if result.rigorous else result
 

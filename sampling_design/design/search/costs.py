@@ -29,6 +29,7 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
 _WEAK = 0.1  # of a row: what is left out still counts so much where every choice is blind
+_TOGETHER = 2_000_000  # operations between two looks at the clock, about: choices of what samples measure, times n^3
 _PAIRS = 400  # exchanges that are looked at in one round
 _ROUNDS = 6  # exchanges after which the sum of costs has settled
 _DRAWN = 8  # random schedules with which every choice is looked at, where choices are few
@@ -187,10 +188,11 @@ def thinned(problem: DesignProblem, times: Array, budget: Budget = ENDLESS) -> M
     while np.sum(used * costs) > limit:
         moves = _drops(used, costs)
         moves = moves if moves.size else _swaps(used, there, costs)
-        values = _values(problem, times, moves)
+        values = _values(problem, times, moves, budget)
         saved = np.sum(used * costs) - np.sum(moves * costs, axis=(1, 2))
         lost = max(float(values.max()), 0.0) - values
-        used = moves[int(np.argmin((lost + 1e-12 * values.max()) / saved))]
+        # where there is no time to tell what is lost, what saves most
+        used = moves[int(np.argmin((lost + max(1e-12 * values.max(), np.finfo(float).tiny)) / saved))]
     return _exchanged(problem, times, used, budget)
 
 
@@ -218,14 +220,26 @@ def _flipped(used: Mask, places: list[tuple[int, ...]]) -> Mask:
     return result
 
 
-def _values(problem: DesignProblem, times: Array, choices: Mask) -> Array:
-    """Worst sigma^2 of each choice; where all are blind, with what is left out seen faintly."""
-    spread = np.broadcast_to(times, (len(choices), times.size))
-    values = worst_sigma2(problem, spread, inner=0, used=choices)
+def _values(problem: DesignProblem, times: Array, choices: Mask, budget: Budget = ENDLESS) -> Array:
+    """Worst sigma^2 of each choice; where all are blind, with what is left out seen faintly. Nothing without time."""
+    values = _in_time(problem, times, choices, budget)
     if values.max() > 0:
         return values
     weights_of_choice = np.where(choices, 1.0, _WEAK) * problem.mask(times)
-    return worst_sigma2(problem, spread, inner=0, used=weights_of_choice)
+    return _in_time(problem, times, weights_of_choice, budget)
+
+
+def _in_time(problem: DesignProblem, times: Array, used: Array, budget: Budget) -> Array:
+    """Worst sigma^2 of each choice, a batch at a time; 0 of those that the budget ends before."""
+    values, each = np.zeros(len(used)), used[0].size * problem.plant.n_states**3
+    together = max(1, _TOGETHER // each) if np.isfinite(budget.left) else len(used)
+    for low in range(0, len(used), together):
+        if budget.over:
+            break
+        part = used[low : low + together]
+        spread = np.broadcast_to(times, (len(part), times.size))
+        values[low : low + together] = worst_sigma2(problem, spread, inner=0, used=part)
+    return values
 
 
 def _exchanged(problem: DesignProblem, times: Array, used: Mask, budget: Budget) -> Mask:
@@ -242,7 +256,7 @@ def _exchanged(problem: DesignProblem, times: Array, used: Mask, budget: Budget)
             break
         if len(kept) > _PAIRS:
             kept = [kept[i] for i in rng.choice(len(kept), _PAIRS, replace=False)]
-        values = _values(problem, times, np.array(kept))
+        values = _values(problem, times, np.array(kept), budget)
         top = int(np.argmax(values))
         if values[top] <= value * (1 + 1e-6):
             break

@@ -11,6 +11,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import product_quotient, smallest_singular
+from sampling_design.numerics.modal_flow import exponential
 from sampling_design.observability.windows.bracket import ALLOWANCE
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers
@@ -175,7 +176,8 @@ class SpacedRows:
 
     def read(self, group: OutputGroup, times: Array) -> Array:
         """Rows of a group C e^{A t}, shape (*times.shape, p, n)."""
-        return (group.C @ self.plant.transition(times.ravel())).reshape(*times.shape, *group.C.shape)
+        rows = exponential(self.plant.A).rows(group.C, times.ravel())
+        return rows.reshape(*times.shape, *group.C.shape)
 
     def at(self, times: Array, moves: Array | float = 0.0) -> Array:
         """Rows of planned times, shape (*times.shape, p, n), group by group."""

@@ -19,6 +19,7 @@ IsUnobservable = Callable[[Array, float, int], bool]
 
 MOST_CELLS = 100_000  # cells after which a search without a budget ends as well
 TOGETHER = 512  # cells judged in one batch
+FIRST_TOGETHER = 4  # and in the first one of each round where seconds count; each is twice the one before
 UNOBSERVABLE = 1e-8
 """What this share of the outputs shows at most, in balanced coordinates, counts as unobserved where a descent ends."""
 DESCENTS = 3  # rounds between two descents
@@ -61,17 +62,16 @@ def branch(
     Without `value` the centres of cells alone are met.
     """
     best = (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
-    rounds = 0
+    rounds, clock = 0, Budget(seconds)
 
     def judged(cells: BoxCells) -> tuple[Array, Array] | None:
         nonlocal best, rounds
-        found = [judge(part) for part in cells.split(TOGETHER)]
-        lower, centre, effect = (np.concatenate([part[j] for part in found]) for j in range(3))
+        lower, centre, effect = judged_in_time(cells, judge, clock)
         k = int(np.argmin(centre))
         if centre[k] < best[0]:
             best = (float(centre[k]), cells.u[k], float(cells.s[k]), int(cells.piece[k]))
         if value is not None and rounds % DESCENTS == 0:
-            best = descended(best, value, ends)
+            best = descended(best, value, ends, clock)
         rounds += 1
         search.attain(np.array([best[0]]))
         return None if is_unobservable(*best[1:]) else (lower[:, None], effect)
@@ -82,17 +82,29 @@ def branch(
         return False
 
     search = LeastOverCells(
-        start, np.zeros((len(start.s), 1)), within(rtol), Budget(seconds), together=MOST_CELLS, most=MOST_CELLS
+        start, np.zeros((len(start.s), 1)), within(rtol), clock, together=MOST_CELLS, most=MOST_CELLS
     )
     status = search.run(judged, bisected, look)
     if value is not None and status != "interrupted":
-        best = descended(best, value, ends)
+        best = descended(best, value, ends, clock)
     if status == "stopped":
         return BoxBounds(0.0, *best, "unobservable", search.judged)
     lower = min(float(search.lower[0]), best[0])
     if status == "closed" and not lower >= (1 - BALL_ROOM * rtol) * best[0]:
         status = "rounding"
     return BoxBounds(lower, *best, status, search.judged)
+
+
+def judged_in_time(cells: BoxCells, judge: Judge, clock: Budget) -> tuple[Array, Array, Array]:
+    """What `judge` says of cells, of few at first; those for which there is no time are bounded by nothing."""
+    count, m = cells.u.shape
+    lower, centre, effect = np.zeros(count), np.full(count, np.inf), np.ones((count, m + 1))
+    begin, together = 0, FIRST_TOGETHER if np.isfinite(clock.left) else TOGETHER
+    while begin < count and not (begin and clock.over):
+        some = np.arange(begin, min(begin + together, count))
+        lower[some], centre[some], effect[some] = judge(cells.take(some))
+        begin, together = begin + together, min(2 * together, TOGETHER)
+    return lower, centre, effect
 
 
 def bisected(cells: BoxCells, effect: Array) -> tuple[BoxCells, Index]:
@@ -126,13 +138,13 @@ def least_near(value: Callable[[Array], float], x: Array, bounds: list[tuple[flo
 
 
 def descended(
-    best: tuple[float, Array, float, int], value: Value, ends: tuple[Array, Array]
+    best: tuple[float, Array, float, int], value: Value, ends: tuple[Array, Array], clock: Budget
 ) -> tuple[float, Array, float, int]:
-    """The best point after a descent without derivatives, inside of the box and its piece."""
+    """The best point after a descent without derivatives, inside of the box and its piece, as far as there is time."""
     _, u, s, piece = best
     left, right = float(ends[0][piece]), float(ends[1][piece])
     bounds = [(-1.0, 1.0)] * len(u) + ([(0.0, 1.0)] if right > left else [])
-    if not bounds:
+    if not bounds or clock.over:
         return best
     span = right - left
 
@@ -141,6 +153,6 @@ def descended(
         return x[: len(u)], min(max(left + span * float(x[-1]), left), right) if span > 0 else s
 
     x0 = np.clip(np.append(u, (s - left) / span) if span > 0 else u, [b[0] for b in bounds], [b[1] for b in bounds])
-    u_new, s_new = at(least_near(lambda x: value(*at(x), piece), x0, bounds, STEPS))
+    u_new, s_new = at(least_near(lambda x: np.inf if clock.over else value(*at(x), piece), x0, bounds, STEPS))
     reached = value(u_new, s_new, piece)
     return (reached, u_new, s_new, piece) if reached < best[0] else best

@@ -182,16 +182,16 @@ def bracket_varying(
     `flows` are the plant's transitions, kept for windows that are judged again without a sample.
     """
     search, clock = VaryingSearch(plant, pieces, flows), Budget(budget)
-    nodes = [_first(search, g) for g in range(len(pieces))]
-    short = [g for g, own in enumerate(nodes) if len(own[0].rows) < plant.n_states]
+    nodes = [_first(search, g) if not g or not clock.over else [] for g in range(len(pieces))]
+    short = [g for g, own in enumerate(nodes) if own and len(own[0].rows) < plant.n_states]
     if short:
         return _bracket(search, nodes, short[0], nodes[short[0]][0], np.zeros(len(pieces)), "too few samples")
     heap = [(search.least(a, b), g, a.at, a, b) for g, own in enumerate(nodes) for a, b in pairwise(own)]
     heapq.heapify(heap)
-    floors = np.array([max(min(node.sigma - node.off for node in own), 0.0) for own in nodes])
+    floors = np.array([max(min((node.sigma - node.off for node in own), default=0.0), 0.0) for own in nodes])
     g, best = min(((g, node) for g, own in enumerate(nodes) for node in own), key=lambda found: found[1].sigma)
     status, most = "closed", MOST_PROVEN if plant.tabled else MOST_SAMPLED
-    for _ in range(most):
+    for _ in range(most if all(nodes) else 0):
         if best.sigma <= best.off:
             if hidden(search, best):
                 return _bracket(search, nodes, g, best._replace(sigma=0.0), np.zeros(len(pieces)), "below rounding")
@@ -224,6 +224,21 @@ def bracket_varying(
     if not plant.tabled:
         return _bracket(search, nodes, g, best, np.zeros(len(pieces)), "sampled")
     return _bracket(search, nodes, g, best, floors, status)
+
+
+def kept_flows(plant: TimeVaryingPlant) -> Flows:
+    """The plant's transitions between any times, each gap integrated once: windows share nearly all of theirs."""
+    over = cache(lambda a, b: plant.transitions((a, b)))
+
+    def flows(times: tuple[float, ...]) -> TransitionTable:
+        parts = [over(a, b) for a, b in pairwise(times)]
+        if not parts:
+            return plant.transitions(times)
+        C = np.concatenate([parts[0].C[:1], *(part.C[1:] for part in parts)])
+        F, errors = (np.concatenate([each[k] for each in parts]) for k in (0, 2))
+        return TransitionTable(F, C, errors, parts[0].proven)
+
+    return flows
 
 
 def _first(search: VaryingSearch, g: int) -> list[_EvaluatedStart]:
@@ -297,7 +312,7 @@ def window_sigma_varying(
         )
     pieces, tolerance, seconds = checked_pieces(aligned, window, start, RTOL if rtol is None else rtol, budget)
     limit = Budget(seconds)
-    flows = cache(plant.transitions)
+    flows = kept_flows(plant)
     bracket = bracket_varying(plant, pieces, tolerance, seconds, flows)
     found = record_of(bracket, tolerance, plant.time_unit, "scaled" if plant.has_scales else "physical")
     proven = plant.tabled and isinstance(plant.C, MatrixTable)  # between samples other C are only looked at

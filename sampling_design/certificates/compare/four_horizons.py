@@ -176,7 +176,9 @@ def four_horizons(
         if given is not None and (other := first_difference(plant, given.plant)):
             raise ArgumentError(f"`{name}` belongs to another plant: {other}.")
     given = Budget(None if budget is None else checks.positive("budget", budget))
-    exact = certify(plant, schedule, budget=given.seconds_left(share=FOR_SEARCH)) if certificate is None else certificate
+    exact = (
+        certify(plant, schedule, budget=given.seconds_left(share=FOR_SEARCH)) if certificate is None else certificate
+    )
     note = ""
     proof = proof_constants
     if proof is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -53,12 +54,15 @@ class RateWindows:
         except np.linalg.LinAlgError:
             return []
 
-    def scaled(self, shape: Array, budget: float, width: float = EXACT) -> tuple[Array, float] | None:
+    def scaled(
+        self, shape: Array, budget: float, width: float = EXACT, late: Callable[[], bool] = lambda: False
+    ) -> tuple[Array, float] | None:
         """The shape at the least scale that the budget allows, and ln lam there; None where none does.
 
         lam(c)/c falls with the scale c and lam(c) rises, so the least scale is the one on the budget. It is met to
         within the factor e^`width`, from above. ln lam rises at most as fast as ln c, so what is left of the budget is
-        the least step towards it, and its slope so far tells the next.
+        the least step towards it, and its slope so far tells the next. Once it is `late`, a scale that the budget
+        allows does.
         """
         least, allowed = self.least(shape), float(np.log(budget))
 
@@ -75,5 +79,7 @@ class RateWindows:
             near, left = far, excess(far)
             step = max(PAST * abs(left) / slope, 2 * step)  # where lam rises as fast as c, no slope tells how far
         low, high = sorted((near, far))
+        if late():
+            return np.exp(high) * shape, excess(high) + high + least + allowed
         P = np.exp(float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width) * shape
         return P, self.windows.value(P)

@@ -181,7 +181,7 @@ class WeightSearch:
     ) -> ChosenWeights | None:
         """A shape at the budget, or None where the budget does not allow it at any scale or it is lost in rounding."""
         try:
-            scaled = self.setting(eta).scaled(shape, budget, width)
+            scaled = self.setting(eta).scaled(shape, budget, width, lambda: self.late)
         except (np.linalg.LinAlgError, SolverError, ValueError):
             return None
         if scaled is None or not np.isfinite(scaled[1]):
@@ -439,7 +439,8 @@ def _ordered(search: WeightSearch, shapes: list[tuple[float, ChosenWeights]], bu
     for choice in (choice for least, choice in shapes if least <= budget):
         if scaled and search.late:
             break
-        made = search.judged(choice.P2, choice.eta, budget, choice)
+        allowed = search.late and not choice.iterations and budget >= REFERENCE and np.isfinite(choice.value)
+        made = choice if allowed else search.judged(choice.P2, choice.eta, budget, choice)
         scaled += [] if made is None else [made]
     distinct: list[ChosenWeights] = []
     for choice in sorted(scaled, key=attrgetter("value")):

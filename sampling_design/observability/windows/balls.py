@@ -117,7 +117,9 @@ def prove_window_sigma(
 
         return proves
 
-    return nearest_proven(guess, seconds, begin, slack=needed_slack(schedule, pieces, rows.exact), precisions=PRECISIONS)
+    return nearest_proven(
+        guess, seconds, begin, slack=needed_slack(schedule, pieces, rows.exact), precisions=PRECISIONS
+    )
 
 
 def sigma_in_balls(rows: BallRows, clock: Budget) -> WindowWitness | None:

@@ -257,7 +257,7 @@ def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Pro
 
 def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -> CertificateError:
     """What to say: a plant of the model and a schedule of the range that no weights can certify, or "undecided"."""
-    look = Budget(LONGEST_LOOK)
+    look = Budget(LONGEST_LOOK, whole=search.budget)
     margins: list[tuple[float, str]] = []
     for place, plant in search.plant.constant_members(np.random.default_rng(0))[:SUSPECTS]:
         if look.over:

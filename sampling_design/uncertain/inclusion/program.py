@@ -153,7 +153,10 @@ class InclusionProgram:
             self.gains_at + self.open * posed.later.size * self.rows * n + 1
         )  # the last one is what is maximised
         self.scale = flow_scale(posed)
-        self.fixed = [*self._flow(), *self._jump()]
+        order = n + posed.Qw.shape[0] + len(posed.multiplied)
+        flows = [order * (order + 1) // 2] * (self.ends * len(posed.dynamics))
+        self.refused = conic_programs.too_large(flows, budget)  # before it is posed, which takes as long
+        self.fixed = [] if self.refused else [*self._flow(), *self._jump()]
 
     def _block(self, parts: list[tuple[int, Array]], right: Array) -> Block:
         """right - (-parts) x in the cone: columns start at the given places."""
@@ -261,7 +264,7 @@ class InclusionProgram:
         row, column, data = (np.concatenate(part) for part in zip(*(entries for _, entries, _ in every), strict=True))
         row = row + np.repeat(np.cumsum([0, *sizes[:-1]]), [entries[0].size for _, entries, _ in every])
         psd = (size for (kind, _, _), size in zip(every, sizes, strict=True) if kind == "psd")
-        if refused := conic_programs.too_large(psd, self.budget):
+        if refused := self.refused or conic_programs.too_large(psd, self.budget):
             return None, refused
         A = sparse.csc_matrix((data, (row, column)), shape=(sum(sizes), len(cost)))
         cones = [(kind, right) for kind, _, right in every]

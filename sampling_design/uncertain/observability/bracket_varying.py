@@ -204,7 +204,7 @@ def bracket_varying(
             break
         low, piece, _, a, b = heap[0]
         middle = a.at / 2 + b.at / 2
-        if not a.at < middle < b.at:
+        if not pieces.tolerance < middle - a.at < b.at - a.at - pieces.tolerance:  # one time, for events as well
             status = "rounding"
             break
         try:

@@ -153,6 +153,19 @@ def test_a_comparison_that_no_time_is_left_for_says_so():
     assert "not every length was tried" in row.note
 
 
+def test_a_certificate_that_is_not_given_is_sought_within_the_budget(monkeypatch):
+    """The search took all the time it wanted, fourteen seconds of .3 for forty states."""
+    asked = []
+    monkeypatch.setattr(
+        "sampling_design.certificates.compare.four_horizons.certify",
+        lambda *given, budget: asked.append(budget) or made_for(),
+    )
+    assert four_horizons(OSCILLATOR, EVERY, budget=6.0).rows[-1].minimum is not None
+    assert four_horizons(OSCILLATOR, EVERY).rows[-1].minimum is not None
+    assert 3.0 < asked[0] <= 4.0
+    assert asked[1] is None
+
+
 def test_contraction_over_windows_that_do_not_divide_the_period():
     made = made_for(schedule=PeriodicSchedule([0.5, 0.7]))
     assert 0 < spectral_radius(made, 1.0) < 1

@@ -1,0 +1,195 @@
+"""Law: a budget ends between pieces that are small, and no bound that it cuts short claims what more seconds refute.
+
+The clock counts pieces of work (flows, values, judged choices, integrated gaps), so that no machine's speed enters.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.certificates.exact.window_gains import WindowConditions
+from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.search import costs
+from sampling_design.errors import UndecidedError
+from sampling_design.numerics import conic_programs
+from sampling_design.numerics.ball_flow import BallFlow
+from sampling_design.observability.worst_case import spaced_search
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.records.budget import Budget
+from sampling_design.uncertain.inclusion.program import InclusionProgram
+from sampling_design.uncertain.observability import bracket_varying
+from sampling_design.uncertain.observability.bracket_varying import kept_flows
+from sampling_design.uncertain.observability.window_balls import WindowsOverBox
+from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+
+UNEVEN = sd.PeriodicSchedule([0.7, 1.0, 0.4])
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+S = np.array([[1.0, 0.3], [-0.2, 1.0]])
+GROWING = sd.Plant(np.linalg.solve(S, np.diag([9.0, 0.0]) @ S), [[1.0, 0.4]])
+"""Doubles lose what it shows within ten units of time; balls do not."""
+
+
+class Pieces:
+    """How many pieces were begun, and a clock that shows that."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.count, self.seconds, self.patch = 0, 1.0, monkeypatch
+        monkeypatch.setattr(time, "perf_counter", lambda: self.count * self.seconds)
+
+    def of(self, owner: object, name: str, size=lambda *given, **named: 1) -> None:
+        """Count every call of one function of a class or module."""
+        before = getattr(owner, name)
+
+        def counted(*given: object, **named: object) -> object:
+            self.count += size(*given, **named)
+            return before(*given, **named)
+
+        self.patch.setattr(owner, name, counted)
+
+
+@pytest.fixture
+def pieces(monkeypatch):
+    return Pieces(monkeypatch)
+
+
+@pytest.mark.parametrize("rigorous", [False, True])
+def test_what_balls_had_no_time_for_is_undecided_and_not_zero(pieces, rigorous):
+    """A spent budget closed the bracket at zero, where more seconds proved a sigma that is positive."""
+    pieces.of(BallFlow, "over")
+    pieces.seconds = 0.1
+    answers = {}
+    for most in (2, 10, 10_000):
+        begun = pieces.count
+        budget = most * pieces.seconds
+        answers[most] = sd.window_sigma(GROWING, sd.PeriodicSchedule([2.5]), 10.0, rigorous=rigorous, budget=budget)
+        assert pieces.count - begun <= most + 4
+    whole = answers.pop(10_000)
+    assert whole.closed
+    assert whole.lower > 0
+    for found in answers.values():
+        assert (found.lower, found.closed, found.status) == (0.0, False, "budget")
+        assert "nothing is proven" in str(found).lower()
+
+
+def test_windows_in_balls_take_a_few_products_each(pieces):
+    """Windows share what they overlap: twice as many samples in each cost twice as much in all, and not four times."""
+    schedule = sd.PeriodicSchedule(np.random.default_rng(1).uniform(0.4, 0.6, 12))
+    pieces.of(BallFlow, "over")
+    spent = []
+    for window in (6.0, 12.0):
+        begun = pieces.count
+        assert sd.window_sigma(OSCILLATOR, schedule, window, rtol=0.1, rigorous=True).rigorous
+        spent.append(pieces.count - begun)
+    assert spent[1] < 2 * spent[0]
+
+
+def test_descents_over_a_box_end_with_the_budget(pieces):
+    box = sd.UncertainPlant(OSCILLATOR, [sd.UncertainParameter("k", -0.2, 0.2, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    for name in ("value", "judge"):
+        pieces.of(WindowsOverBox, name)
+    for budget in (0.0, 5.0, 50.0):
+        begun = pieces.count
+        found = sd.window_sigma(box, UNEVEN, 4.0, rtol=1e-6, budget=budget)
+        assert pieces.count - begun <= budget + 4
+        assert (found.status, found.closed) == ("budget", False)
+        assert 0 <= found.lower <= found.upper
+
+
+def test_what_samples_measure_is_chosen_within_the_budget(pieces, monkeypatch):
+    """Choices were judged by the hundred between two looks at the clock: forty states took ten seconds."""
+    monkeypatch.setattr(costs, "_TOGETHER", 1)
+    pieces.of(costs, "worst_sigma2", lambda problem, times, *given, **named: len(times))
+    plant, prices = sd.Plant(np.diag([-0.1, 0.2]) + np.diag([1.0], 1), np.eye(2) + 0.3), np.array([1.0, 1.3])
+    given = (6.0, 6.0, 0.3, 8, np.zeros((0, 2)), np.zeros(0), (None, None))
+    problem = DesignProblem(plant, *given, costs=prices, cost_limit=10.0)
+    times, met = np.arange(0.0, 6.0, 0.75), []
+    for budget in (0.0, 30.0, 1e6):
+        begun = pieces.count
+        used = costs.thinned(problem, times, Budget(budget))
+        assert pieces.count - begun <= budget + 2
+        assert np.sum(used @ prices) <= 10.0
+        assert used.any(axis=1).all()
+        met.append(float(worst_sigma2(problem, times[None], used=used[None])[0]))
+    assert max(met) == met[-1] > 0
+
+
+@pytest.fixture(scope="module")
+def swing():
+    return TimeVaryingPlant(lambda t: [[0.0, 1.0], [-1 - 0.5 * np.cos(t), 0.0]], lambda t: [[1.0, 0.0]], horizon=16.0)
+
+
+def test_every_gap_of_a_varying_plant_is_integrated_once(pieces, swing):
+    times = np.arange(0.0, 6.1, 0.5)
+    pieces.of(TimeVaryingPlant, "transitions")
+    flows, whole = kept_flows(swing), swing.transitions(times)
+    for _ in range(2):
+        kept = flows(tuple(times.tolist()))
+        for key in ("F", "C", "errors", "proven"):
+            assert np.array_equal(getattr(kept, key), getattr(whole, key))
+    assert pieces.count == times.size  # the whole, and each gap
+
+
+def test_windows_of_a_varying_plant_that_nobody_looked_at_are_not_proven(pieces):
+    knots = np.linspace(0.0, 16.0, 9)
+    stack = [[[0.0, 1.0], [-1 - 0.5 * np.cos(t), 0.0]] for t in knots]
+    table = TimeVaryingPlant.from_table(knots, stack, [[[1.0, 0.0]]] * 9)
+    schedule = sd.Schedule(np.arange(0.0, 16.1, 0.5))
+    pieces.of(TimeVaryingPlant, "transitions")
+    found = sd.window_sigma(table, schedule, 4.0, budget=1.0)
+    assert pieces.count <= 1.0 + 16
+    assert (found.lower, found.status, found.closed) == (0.0, "budget", False)
+    whole = sd.window_sigma(table, schedule, 4.0)
+    assert 0 < whole.lower <= whole.upper <= found.upper
+
+
+def test_no_two_times_of_a_varying_plant_are_nearer_than_events_are_told_apart(swing, monkeypatch):
+    """An integrator refuses an interval of two roundings, and with it the search."""
+    asked, before = [], bracket_varying.VaryingSearch.before
+    monkeypatch.setattr(
+        bracket_varying.VaryingSearch, "before", lambda *given: asked.append((given[1].at, given[2])) or before(*given)
+    )
+    found = sd.window_sigma(swing, sd.Schedule(np.arange(0.0, 8.1, 1.0)), 7.9, rtol=1e-15)
+    assert found.status == "sampled"
+    assert min(late - early for late, early in asked) > 16 * np.finfo(float).eps * 8.0
+
+
+def test_a_program_of_an_inclusion_that_is_too_large_is_not_posed(monkeypatch):
+    """Blocks of forty states took fifteen seconds before the solver was asked whether it could hold them."""
+    monkeypatch.setattr(conic_programs, "MOST_NUMBERS", 1e2)
+    monkeypatch.setattr(InclusionProgram, "_flow", lambda *given: pytest.fail("it was posed"))
+    varying = sd.UncertainPlant(
+        OSCILLATOR, [sd.UncertainParameter("k", -0.1, 0.1, A=[[0.0, 0.0], [-1.0, 0.0]])], varying=True
+    )
+    with pytest.raises(UndecidedError, match=r"no P\(tau\) was proven"):
+        sd.uncertain.certify_inclusion(varying, UNEVEN, eta=0.1, budget=5.0)
+
+
+def test_a_late_search_follows_few_windows(pieces):
+    """The first scale that is allowed will do: ten more were tried for one digit of a shape that is judged anyway."""
+    pieces.of(WindowConditions, "value")
+    assert sd.certify(OSCILLATOR, UNEVEN, eta=0.3, budget=0.5).verify().passed
+    assert pieces.count <= 4
+
+
+@pytest.mark.parametrize("most", [1, 20_000])
+def test_the_table_of_a_search_for_worst_times_has_a_size(most, monkeypatch):
+    """Forty states with late readings asked for nine gigabytes."""
+    sizes, moved = [], SpacedRows.moved
+    monkeypatch.setattr(spaced_search, "_TABLE", most)
+
+    def noted(*given):
+        table = moved(*given)
+        sizes.append(sum(part.size for part in table))
+        return table
+
+    monkeypatch.setattr(SpacedRows, "moved", noted)
+    fast = sd.Plant([[0.0, 90.0], [-90.0, 0.0]], [[1.0, 0.0]])
+    found = sd.worst_case_sigma(fast, sd.SpacedWindows(4.0, 3, 0.5), rng=0, budget=0.0)
+    least = 3 * (spaced_search.LEAST_CELLS + 1) * 2
+    assert sizes[0] <= max(1.5 * most, least)
+    assert 0 <= found.lower <= found.upper

@@ -175,9 +175,9 @@ def four_horizons(
     for name, given in (("certificate", certificate), ("proof_constants", proof_constants)):
         if given is not None and (other := first_difference(plant, given.plant)):
             raise ArgumentError(f"`{name}` belongs to another plant: {other}.")
-    given = Budget(None if budget is None else checks.positive("budget", budget))
+    clock = Budget(None if budget is None else checks.positive("budget", budget))
     exact = (
-        certify(plant, schedule, budget=given.seconds_left(share=FOR_SEARCH)) if certificate is None else certificate
+        certify(plant, schedule, budget=clock.seconds_left(share=FOR_SEARCH)) if certificate is None else certificate
     )
     note = ""
     proof = proof_constants
@@ -192,7 +192,7 @@ def four_horizons(
     true, missing = None, "" if periodic else "a finite schedule has none"
     if periodic:
         try:
-            true = contracting_within(given, exact)
+            true = contracting_within(clock, exact)
         except UndecidedError as error:
             missing = str(error)
     rows = (
@@ -203,5 +203,5 @@ def four_horizons(
         HorizonRow("exact, improved", "Riccati and the improved theorem", improved.minimum, improved),
         HorizonRow("true contraction", "spectral radius", true, None, missing),
     )
-    radius = None if true is None or given.over else spectral_radius(exact, improved.length)
+    radius = None if true is None or clock.over else spectral_radius(exact, improved.length)
     return FourHorizons(rows, exact, proof, radius)

@@ -229,7 +229,7 @@ def _values(problem: DesignProblem, times: Array, choices: Mask, budget: Budget 
     return _in_time(problem, times, weights_of_choice, budget)
 
 
-def _in_time(problem: DesignProblem, times: Array, used: Array, budget: Budget) -> Array:
+def _in_time(problem: DesignProblem, times: Array, used: Mask, budget: Budget) -> Array:
     """Worst sigma^2 of each choice, a batch at a time; 0 of those that the budget ends before."""
     values, each = np.zeros(len(used)), used[0].size * problem.plant.n_states**3
     together = max(1, _TOGETHER // each) if np.isfinite(budget.left) else len(used)

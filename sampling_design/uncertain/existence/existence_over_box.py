@@ -118,7 +118,7 @@ def existence_over_box(
         looked += 1
         if looked % LOOKS == 1:
             worst = looked_at(model, margin, cell.u[0], worst)
-            worst = descended(model, margin, worst) if worst[1] else worst
+            worst = descended(model, margin, worst, budget) if worst[1] else worst
             if not worst[1]:
                 return None
         if budget.over or cell.half.max(initial=0.0) < SMALLEST:
@@ -133,7 +133,7 @@ def existence_over_box(
 
     if not worst[1] or not all_proven([BoxCells.whole(model.m)], parts_of):
         return ExistenceOverBox(False, model.values(worst[2]), worst[0], worst[3], proven, plant)
-    worst = descended(model, margin, worst)
+    worst = descended(model, margin, worst, budget)
     reason = "gains were proven to make the error of every plant contract" if worst[1] else worst[3]
     return ExistenceOverBox(worst[1], model.values(worst[2]), worst[0], reason, proven, plant)
 
@@ -148,14 +148,16 @@ def looked_at(model: BoxModel, margin: Margin, u: Array, best: CellAnswer | None
     return found if best is None or not exists or value < best[0] else best
 
 
-def descended(model: BoxModel, margin: Margin, best: CellAnswer) -> CellAnswer:
-    """The least margin that a descent from there finds."""
+def descended(model: BoxModel, margin: Margin, best: CellAnswer, clock: Budget) -> CellAnswer:
+    """The least margin that a descent from there finds, as far as there is time."""
     if not model.m or not np.isfinite(best[0]):
         return best
     found = best
 
     def value(u: Array) -> float:
         nonlocal found
+        if clock.over:
+            return 0.0
         here = looked_at(model, margin, np.clip(u, -1.0, 1.0), None)
         found = here if found[1] and (not here[1] or here[0] < found[0]) else found
         return here[0] if found[1] else 0.0  # a plant without certificate ends the descent

@@ -157,13 +157,13 @@ def largest_box(
         raise ArgumentError("`window` or `eta` must be given, one of them and not both.")
     model = BoxModel.of(plant, "largest_box")
     aligned = align(plant.nominal, schedule)
-    tolerance = checks.positive("rtol", rtol)
+    tolerance, clock = checks.positive("rtol", rtol), Budget(checks.positive("budget", budget))
     if window is not None:
         least = checks.nonnegative("at_least", at_least)
         over_box = WindowsOverBox(model, window_pieces(aligned, checks.positive("window", window)))
         question = f"sigma is above {short(least)} in every window of {short(window)} {plant.time_unit}"
         cells = over_box.cells()
-        search, together = _by_sigma(over_box, least), TOGETHER
+        search, together = _by_sigma(over_box, least, clock), TOGETHER
         if over_box.too_few() is not None:
             return _found(model, 0.0, 0.0, model.start, False, question, 0)
     else:
@@ -173,11 +173,11 @@ def largest_box(
         rate = checks.nonnegative("eta", eta)
         question = f"a certificate with rate {short(rate)} exists"
         cells = BoxCells.whole(model.m)
-        search, together = _by_gains(model, repeated, rate), GAINED_TOGETHER
-    return _searched(model, cells, search, together, tolerance, checks.positive("budget", budget), question)
+        search, together = _by_gains(model, repeated, rate, clock), GAINED_TOGETHER
+    return _searched(model, cells, search, together, tolerance, clock.left, question)
 
 
-def _by_sigma(over_box: WindowsOverBox, floor: float) -> Search:
+def _by_sigma(over_box: WindowsOverBox, floor: float, clock: Budget) -> Search:
     """Sigma of every window above a number."""
 
     def judge(cells: BoxCells) -> Judged:
@@ -188,13 +188,14 @@ def _by_sigma(over_box: WindowsOverBox, floor: float) -> Search:
 
     def failing(cell: BoxCells) -> Array | None:
         start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
-        value, u, s, piece = descended_sigma(start, over_box.value, (over_box.pieces.left, over_box.pieces.right))
+        ends = (over_box.pieces.left, over_box.pieces.right)
+        value, u, s, piece = descended_sigma(start, over_box.value, ends, clock)
         return u if value <= floor or over_box.unobservable(u, s, piece) else None
 
     return judge, failing
 
 
-def _by_gains(model: BoxModel, schedule: PeriodicSchedule, eta: float) -> Search:
+def _by_gains(model: BoxModel, schedule: PeriodicSchedule, eta: float, clock: Budget) -> Search:
     """Certificates that exist."""
     gaps, margin = FilteredErrors(model, schedule, eta), margin_on(schedule, eta)
 
@@ -208,7 +209,7 @@ def _by_gains(model: BoxModel, schedule: PeriodicSchedule, eta: float) -> Search
         return proven, np.array(lost), np.concatenate([gaps.effect(cell) for cell in every])
 
     def failing(cell: BoxCells) -> Array | None:
-        found = descended(model, margin, looked_at(model, margin, cell.u[0], None))
+        found = descended(model, margin, looked_at(model, margin, cell.u[0], None), clock)
         return None if found[1] else found[2]
 
     return judge, failing

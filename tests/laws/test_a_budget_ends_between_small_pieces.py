@@ -196,14 +196,19 @@ def test_the_table_of_a_search_for_worst_times_has_a_size(most, monkeypatch):
 
 
 def test_a_box_that_no_time_is_left_for_is_not_descended_in(pieces):
-    """Sigma falls below the floor between the middle of a cell and its corners: a descent would find where."""
-    box = sd.UncertainPlant(OSCILLATOR, [sd.UncertainParameter("k", -0.9, 2.0, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    entries = {"k": (-0.9, 2.0, [[0.0, 0.0], [-1.0, 0.0]]), "d": (-0.3, 0.3, [[0.0, 0.0], [0.0, 1.0]])}
+    box = sd.UncertainPlant(
+        OSCILLATOR, [sd.UncertainParameter(k, low, high, A=A) for k, (low, high, A) in entries.items()]
+    )
+    asked = {"window": 3.0, "at_least": 0.4}
     for name in ("value", "judge"):
         pieces.of(WindowsOverBox, name)
-    whole = sd.uncertain.largest_box(box, sd.PeriodicSchedule([1.4]), window=3.0, at_least=0.4, budget=1e6)
-    assert 0 < whole.share < 1
+    whole = sd.uncertain.largest_box(box, sd.PeriodicSchedule([1.4]), budget=1e6, **asked)
+    assert whole.closed
+    assert pieces.count > 50
     for budget in (1.0, 20.0):
         begun = pieces.count
-        found = sd.uncertain.largest_box(box, sd.PeriodicSchedule([1.4]), window=3.0, at_least=0.4, budget=budget)
+        found = sd.uncertain.largest_box(box, sd.PeriodicSchedule([1.4]), budget=budget, **asked)
         assert pieces.count - begun <= budget + 6
-        assert found.share <= whole.share * (1 + 1e-6)
+        assert found.share <= whole.refuted
+        assert not found.closed

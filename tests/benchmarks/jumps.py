@@ -1,7 +1,9 @@
-"""Where a call costs far more than its neighbour: every verb over sizes that double and options that cross.
+"""Where a call costs far more than its neighbour: every verb over sizes that double and options that cross, and what
+is done with records, schedules and what is made of them over lengths from a hundred to a hundred thousand.
 
 python -m tests.benchmarks.jumps [VERB ...] [--long] prints processor seconds, and each step between neighbours that
-costs over twice as much: with the exponent of its size, or, for an option, as times the call without it.
+costs over twice as much (of lengths: over twice its share): with the exponent of its size, or, for an option, as times
+the call without it.
 """
 
 from __future__ import annotations
@@ -10,11 +12,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice, pairwise
+from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 
 import sampling_design as sd
+from sampling_design import estimators, plotting, schedules
 from sampling_design.observability import observability_matrix
 
 Call = Callable[[], object]
@@ -22,6 +28,8 @@ Call = Callable[[], object]
 JUMP = 2.0
 LEAST = 0.02
 """Processor seconds of one timing: what is shorter is repeated."""
+SHORTEST, LONGEST = 2.0, 20.0
+"""Processor seconds that a length may be expected to take, and under `--long`."""
 
 SIZES = {"states": (1, 2, 4, 8, 16, 32, 64), "samples": (5, 10, 20, 40, 80, 160, 320), "outputs": (1, 2, 4, 8)}
 SHORT = {"states": 16, "samples": 40, "outputs": 4}
@@ -155,12 +163,111 @@ def estimated(states: int, samples: int, outputs: int, regular: bool = True, **g
     return lambda: mhe.update(*next(source))
 
 
+BOUNDS = {"w_bound": 0.5, "v_bound": 0.5, "initial_error": 3.0}
+COST = sd.CostFunction(eta=0.2)
+ORIGIN = "2026-01-05T00:00+00:00"
+ESTIMATORS = {
+    "window": lambda of: sd.MovingHorizonEstimator(of, horizon=10.0, cost=COST, **BOUNDS),
+    "all samples": lambda of: sd.MovingHorizonEstimator(of, horizon=1e9, cost=COST, **BOUNDS),
+    "filter": lambda of: sd.KalmanFilter(of, cost=COST, **BOUNDS),
+    "late samples": lambda of: sd.KalmanFilter(of, cost=COST, maximum_delay=1e9, **BOUNDS),
+    "sets": lambda of: sd.SetMembershipEstimator(of, **BOUNDS),
+}
+
+
+def recorded(
+    length: int, outputs: int = 1, regular: bool = False, mixed: bool = False, dated: bool = False, inputs: int = 0
+) -> sd.Measurements:
+    """A record, with a cell in three missing where there are several outputs."""
+    rng, bare = np.random.default_rng(0), plant(2, outputs)
+    of = sd.Plant(bare.A, bare.C, B=np.ones((2, inputs)), D=np.zeros((outputs, inputs)), time_unit="min")
+    y, u = 0.1 * rng.uniform(-1, 1, (length, outputs)), rng.normal(size=(length, inputs))
+    y[:, 1:][rng.random((length, outputs - 1)) < 0.3] = np.nan
+    at = rng.permutation(length) if mixed else np.arange(length)
+    return sd.Measurements(of, times(length, regular)[at], y[at], u[at], origin=ORIGIN if dated else "")
+
+
+def planned(length: int, regular: bool = False, finite: bool = False) -> sd.Schedule | sd.PeriodicSchedule:
+    at = np.cumsum(np.ones(length) if regular else np.random.default_rng(1).integers(1, 4, length)).astype(float)
+    whole = sd.PeriodicSchedule.from_times(at, float(at[-1]) + 1.0, time_unit="min")
+    return sd.Schedule(at, time_unit="min") if finite else whole
+
+
+@cache
+def made(kind: str, length: int) -> object:
+    """What a verb returns, of that length, for its tables, files and pictures."""
+    of = recorded(1).plant
+    match kind:
+        case "estimates":
+            return ESTIMATORS["filter"](of).run(recorded(length))
+        case "certificate":
+            return sd.certify(of, planned(length, regular=True), eta=0.05)
+        case "log":
+            plan = sd.PeriodicSchedule([1.0], time_unit="min")
+            return sd.compare_schedule(of, plan, times(length, True) + 0.05, window=7.0)
+        case "interval":
+            return sd.state_interval(of, recorded(length), **BOUNDS)
+        case "sigma":
+            return sd.window_sigma(of, planned(length), 7.0)
+        case "report":
+            plan = sd.PeriodicSchedule([1.0], time_unit="min")
+            return sd.validate(of, plan, estimator=ESTIMATORS["window"](of), runs=4, duration=length, rng=0, **BOUNDS)
+    return recorded(length) if kind == "record" else planned(length)
+
+
+def simulated(length: int, inputs: bool = False) -> Call:
+    of = recorded(1, inputs=1).plant
+    given = {"inputs": [(float(t), [1.0]) for t in range(length)]} if inputs else {}
+    plan = sd.PeriodicSchedule([1.0], time_unit="min")
+    return lambda: sd.simulate_record(of, plan, float(length), w_bound=0.1, v_bound=0.1, rng=0, **given)
+
+
+def ran(length: int, by: str = "window", **how: object) -> Call:
+    of_record = recorded(length, **how)
+    return lambda: ESTIMATORS[by](of_record.plant).run(of_record)
+
+
+def of_record(work: Callable[[sd.Measurements], object]) -> Callable[..., Call]:
+    def ready(length: int, **how: object) -> Call:
+        known = recorded(length, **how)
+        return lambda: work(known)
+
+    return ready
+
+
+def of_schedule(work: Callable[[object], object]) -> Callable[..., Call]:
+    def ready(length: int, **how: object) -> Call:
+        known = planned(length, **how)
+        return lambda: work(known)
+
+    return ready
+
+
+def of_result(work: Callable[[object], object], usual: str = "record") -> Callable[..., Call]:
+    def ready(length: int, kind: str = usual) -> Call:
+        known = made(kind, length)
+        return lambda: work(known)
+
+    return ready
+
+
+@cache
+def folder() -> Path:
+    return Path(mkdtemp(prefix="jumps-"))
+
+
+def said(known: object) -> object:
+    return repr(known), str(known), known._repr_html_(), known.explain()
+
+
 @dataclass(frozen=True)
 class Verb:
     """What makes a call of some sizes ready, and the options that are crossed with the middle sizes."""
 
     ready: Callable[..., Call]
     options: dict[str, dict[str, object]]
+    lengths: bool = False
+    """Whether it takes a length alone, and so may cost its share."""
 
 
 IRREGULAR: dict[str, object] = {"regular": False}
@@ -207,6 +314,54 @@ VERBS = {
 }
 
 
+ROWS = {"regular": {"regular": True}, "3 outputs": {"outputs": 3}, "dates": {"dated": True}, "inputs": {"inputs": 1}}
+MIXED = ROWS | {"mixed": {"mixed": True}}
+PLANS = {"regular": {"regular": True}, "finite": {"finite": True}}
+KINDS = {kind: {"kind": kind} for kind in ("schedule", "estimates", "certificate", "log", "sigma", "report")}
+LENGTHS = {
+    "run": Verb(ran, ROWS | {name: {"by": name} for name in ESTIMATORS}, lengths=True),
+    "smooth": Verb(of_record(lambda known: ESTIMATORS["filter"](known.plant).smooth(known)), ROWS, lengths=True),
+    "state interval": Verb(
+        of_record(lambda known: sd.state_interval(known.plant, known, **BOUNDS)), ROWS, lengths=True
+    ),
+    "part": Verb(of_record(lambda known: known.between(3.0, 0.7 * len(known))), MIXED, lengths=True),
+    "merge": Verb(of_record(lambda known: known.merged(known)), MIXED, lengths=True),
+    "frame": Verb(of_record(lambda known: sd.read_measurements(known.to_frame(), known.plant)), MIXED, lengths=True),
+    "measurement file": Verb(
+        of_record(
+            lambda known: sd.read_measurements(
+                estimators.write_measurements(known, folder() / "record.csv"), known.plant
+            )
+        ),
+        MIXED,
+        lengths=True,
+    ),
+    "simulate": Verb(simulated, {"inputs": {"inputs": True}}, lengths=True),
+    "schedule file": Verb(
+        of_schedule(lambda known: sd.read_schedule(schedules.write_schedule(known, folder() / "plan.csv"))),
+        PLANS,
+        lengths=True,
+    ),
+    "calendar": Verb(
+        of_schedule(lambda known: schedules.write_ics(known, folder() / "plan.ics", ORIGIN)), PLANS, lengths=True
+    ),
+    "dates": Verb(
+        of_schedule(lambda known: schedules.write_calendar_csv(known, folder() / "dates.csv", ORIGIN)),
+        PLANS,
+        lengths=True,
+    ),
+    "sigma of all": Verb(
+        of_schedule(lambda known: sd.window_sigma(recorded(1).plant, known, 7.0)), PLANS, lengths=True
+    ),
+    "picture": Verb(of_result(lambda known: plotting.save(known, folder() / "picture.svg")), KINDS, lengths=True),
+    "words": Verb(of_result(said), KINDS | {"interval": {"kind": "interval"}}, lengths=True),
+    "proof": Verb(
+        of_result(lambda known: known.verify(), "certificate"), {"interval": {"kind": "interval"}}, lengths=True
+    ),
+}
+VERBS |= LENGTHS
+
+
 def spent(call: Call) -> float:
     """Processor seconds of a call: the median of three timings of as many calls as make them long enough."""
     begun = time.process_time()
@@ -224,20 +379,50 @@ def spent(call: Call) -> float:
     return float(np.median(found))
 
 
+def compared(size: str, points: list[tuple[int, float]], lengths: bool) -> Iterator[str]:
+    """Yield each step between neighbouring sizes that costs far more."""
+    for (a, before), (b, after) in pairwise(points):
+        most = JUMP * (b / a if lengths else 1.0)
+        if after > most * before or before > JUMP * after:
+            power = np.log(after / before) / np.log(b / a)
+            yield f"  JUMP {size} {a} to {b}: {after / before:.2g} times, power {power:.1f}"
+
+
+def listed(points: list[tuple[int, float]]) -> str:
+    return ", ".join(f"{value} {1e3 * seconds:.3g}" for value, seconds in points)
+
+
+def of_lengths(name: str, long: bool) -> Iterator[str]:
+    """Yield the lines of a verb over lengths, until one would take too long."""
+    verb = VERBS[name]
+    for option, given in {"": {}, **verb.options}.items():
+        points: list[tuple[int, float]] = []
+        verb.ready(100, **given)()  # what is loaded is not counted
+        for length in (100, 300, 1000, 3000, 10_000, 30_000, 100_000):
+            try:
+                points.append((length, spent(verb.ready(length, **given))))
+            except sd.SamplingDesignError as error:
+                yield f"{name} {option}: of {length} {error}"
+                break
+            if 4.0 * points[-1][1] > (LONGEST if long else SHORTEST):
+                break
+        yield f"{name} {option} ms by length: {listed(points)}"
+        yield from compared("length", points, True)
+
+
 def swept(name: str, long: bool) -> Iterator[str]:
     """Yield the lines of one verb."""
     verb = VERBS[name]
+    if verb.lengths:
+        yield from of_lengths(name, long)
+        return
     most = {key: max(values) for key, values in SIZES.items()} if long else SHORT | SLOW.get(name, {})
     for options, own in {"": {}, "irregular": IRREGULAR}.items():
         for size, every in SIZES.items():
             values = [value for value in every if value <= most[size]]
-            taken = [spent(verb.ready(**{**MIDDLE, size: value}, **own)) for value in values]
-            told = ", ".join(f"{value} {1e3 * seconds:.3g}" for value, seconds in zip(values, taken, strict=True))
-            yield f"{name} {options} ms by {size}: {told}"
-            for (a, before), (b, after) in pairwise(zip(values, taken, strict=True)):
-                power = np.log(after / before) / np.log(b / a)
-                if max(after, before) > JUMP * min(after, before):
-                    yield f"  JUMP {size} {a} to {b}: {after / before:.2g} times, power {power:.1f}"
+            points = [(value, spent(verb.ready(**{**MIDDLE, size: value}, **own))) for value in values]
+            yield f"{name} {options} ms by {size}: {listed(points)}"
+            yield from compared(size, points, False)
     plain = spent(verb.ready(**MIDDLE))
     for option, given in verb.options.items():
         seconds = spent(verb.ready(**MIDDLE, **given))

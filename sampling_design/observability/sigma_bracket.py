@@ -132,9 +132,11 @@ class SigmaBracket(PlainRecord):
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
         In doubles, also of what ball arithmetic proves. None where sigma is nothing or doubles do not show it, where
-        too little of a budget (over a box of ten times what the bracket took) is left. Along a plant that varies in
-        time as functions say they are `sampled`, as sigma itself.
+        too little of a budget (over a box of ten times what the bracket took) is left, and after an interrupt, which
+        asks for no more work. Along a plant that varies in time as functions say they are `sampled`, as sigma itself.
         """
+        if self.status == "interrupted":
+            return None
         sigma = self.upper if self.status == "sampled" else self.lower
         return self.beside() if self.beside is not None and 0 < sigma < np.inf else None
 

@@ -69,6 +69,7 @@ def test_an_interrupt_leaves_the_bracket(verb):
             assert left.lower <= whole.upper * (1 + 1e-9)
             assert whole.lower * (1 - 1e-9) <= left.upper
             assert "interrupted before the bracket closed" in left.explain()
+            assert left.deviations is None  # whoever interrupts waits for nothing more
             assert ("undecided" in left.explain()) == ("undecided" in str(left)) == (left.lower == 0)
             kept += 1
     assert kept >= PLACES / 2

@@ -224,6 +224,7 @@ def answer_of(
 
 def _bracketed(search: GainSearch, row: Array, tolerance: float) -> RowSearch:
     """The bracket and the profile of one row; after an interrupt what is proven by then."""
+    tolerance = max((1 + tolerance) / (1 + 2 * MARGIN) - 1, tolerance / 2)  # `MARGIN` joins the upper side
     try:
         found = search.row(row, tolerance, MOST_SOLVES)
         search.profile(found)

@@ -81,6 +81,26 @@ def filter_gains(system: SampledSystem, nodes: list[int], mu: Array) -> list[Arr
     return gains
 
 
+def transferred_gains(
+    system: SampledSystem, nodes: list[int], mu: Array, others: list[int], meant: Array, gains: tuple[Array, ...]
+) -> tuple[Array, ...]:
+    """Return gains for mu'z_K from those for meant'z at the last of other nodes: where costates part, the filter's."""
+    found = [np.zeros(0)] * len(nodes)
+    for k in range(1, len(nodes) + 1):
+        sample, lam, apart = system.samples[nodes[-k]], None, mu
+        if k <= len(gains):
+            other, same = system.samples[others[-k]], nodes[-k] == others[-k]
+            if same or np.array_equal(sample.outputs, other.outputs):
+                lam = gains[-k] if same else gains[-k] * sample.size / other.size
+                apart = mu - (meant if same else system.L[nodes[-k]].T @ np.linalg.solve(system.L[others[-k]].T, meant))
+        found[-k] = sample.K.T @ apart if lam is None else lam + sample.K.T @ apart
+        if k < len(nodes):
+            mu = system.gap(nodes[-k - 1]).F.T @ (mu - sample.H.T @ found[-k])
+            if k < len(gains):
+                meant = system.gap(others[-k - 1]).F.T @ (meant - other.H.T @ gains[-k])
+    return tuple(found)
+
+
 def path_bounds(
     system: SampledSystem, nodes: list[int], start: InitialSet, known: Callable[[int], Array | None], mu: Array
 ) -> Array:

@@ -8,9 +8,11 @@ its gains also bound the error once and for all (`reach`), which is what an endl
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count as count_from
 from typing import NamedTuple
 
 import numpy as np
@@ -39,9 +41,14 @@ PANEL = 0.125  # length of a panel times |A| in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone
 BETWEEN = (0.2360, 0.6180)  # shares of a gap at which the outputs are looked at for the sizes of what its samples hide
 CONTRACTED = 1e-3  # samples are added until the filter's error forgets all but this share of its past
+
+PATIENT, HALVED = 256, 0.5
+"""Samples from which on so large a share may be left of it: a filter that forgets slowly took ten times as many, and
+what is left is bounded all the same."""
+
 FORGOTTEN = 0.01  # the share of the past that may be left after the filter's memory
 PERIODS = 4000  # periods after which a filter that still remembers is given up: a bound that long would be no use
-REFINED = 6  # times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much
+REFINED = 1e-18  # share of what is too much that may be left of a bound on all samples' errors
 FOLLOWED = 40.0  # growth over a gap, as an exponent, beyond which a root of a covariance has no digit left
 AHEAD = 150.0  # growth after the last sample, as an exponent, whose square is a number still, in any units
 
@@ -221,17 +228,37 @@ class SampledSystem:
     @cached_property
     def memory(self) -> int:
         """Samples after which a filter's error forgets all but a small share of its past; endless."""
-        mu, j = np.eye(self.D.size)[:, : self.determined], 0
-        for count in range(PERIODS * len(self)):
-            sample, gap = self.samples[j], self.gaps[(j - 1) % len(self)]
-            mu = gap.F.T @ (mu - sample.H.T @ (sample.K.T @ mu))
-            j = (j - 1) % len(self)
-            left = np.linalg.norm(mu, 2)
-            if left < FORGOTTEN:
-                return count + 1
-            if left > GROWN:
+        return self._steps_back(lambda mu: float(np.linalg.norm(mu, 2)), FORGOTTEN)
+
+    def _steps_back(self, size: Callable[[Array], float], least: float) -> int:
+        """Samples back from the first one until less than `least` is left of an error there by the filter's gains.
+
+        Over `PERIODS` at most, by doubled periods: what is forgotten slowly costs no more.
+        """
+        count, r = len(self), self.determined
+        left = np.eye(self.D.size)[:, :r]
+        periods = [self._before(0, count, left)[:r]]
+        while size(periods[-1]) >= least and 2 ** len(periods) <= PERIODS:
+            periods.append(periods[-1] @ periods[-1])
+            if not np.abs(periods[-1]).max(initial=0.0) <= GROWN:
                 raise too_far()
-        return PERIODS * len(self)
+        steps = 0
+        for k in range(len(periods) - 1, -1, -1):
+            ahead = periods[k] @ left[:r]
+            if size(ahead) >= least:
+                left[:r], steps = ahead, steps + count * 2**k
+        while steps < PERIODS * count:
+            left, steps = self._before(-steps, 1, left), steps + 1
+            if size(left) < least:
+                break
+        return min(steps, PERIODS * count)
+
+    def _before(self, j: int, count: int, mu: Array) -> Array:
+        """What the filter's gains leave of columns mu that multiply z after sample j, `count` samples before it."""
+        for k in range(j, j - count, -1):
+            sample, gap = self.samples[k % len(self)], self.gaps[(k - 1) % len(self)]
+            mu = gap.F.T @ (mu - sample.H.T @ (sample.K.T @ mu))
+        return mu
 
     @cached_property
     def reach(self) -> Array:
@@ -245,14 +272,15 @@ class SampledSystem:
         count, n, r = len(self), self.D.size, self.determined
         at = (np.arange(count) - self.forgetting) % count
         costs, rests = (np.array([past[i] for past in self._filtered]) for i in (1, 2))
-        found = np.full((count, r), float(costs.max(initial=0.0)) / (1 - CONTRACTED))
-        for _ in range(REFINED):
+        share = max(float(rests.sum(axis=1).max(initial=0.0)), np.finfo(float).eps)
+        found = np.full((count, r), float(costs.max(initial=0.0)) / (1 - share))
+        for _ in range(int(np.ceil(np.log(REFINED) / np.log(share)))):
             found = costs + np.einsum("jik,ji->jk", rests, found[at])
         return np.hstack([found, np.ones((count, n - r))])
 
     @property
     def forgetting(self) -> Index:
-        """How many samples before each the filter's error is forgotten but for a share `CONTRACTED`; endless."""
+        """How many samples before each the filter's error is forgotten but for a small share; endless."""
         return np.array([steps for steps, _, _ in self._filtered])
 
     @cached_property
@@ -262,18 +290,22 @@ class SampledSystem:
         Raises UndecidedError if it does not contract.
         """
         count, r, found = len(self), self.determined, []
+        if self._steps_back(_largest_column, HALVED) >= PERIODS * count:
+            raise UndecidedError(
+                f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
+            )
         for j in range(count):
             mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
             propagated: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
-            for steps in range(PERIODS * count):
+            for steps in count_from(0):
                 sample = self.samples[at]
                 gains = sample.K.T @ mu
                 mu = mu - sample.H.T @ gains
                 cost += noise_cost(gains, sample.exact, self.bounds.v_ball)
-                left = np.abs(mu).sum(axis=0).max(initial=0.0)
+                left = _largest_column(mu)
                 if left > GROWN:
                     raise too_far()
-                if steps and left < CONTRACTED:
+                if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
                     for gap, columns in propagated.items():
                         every = self.gaps[gap].integral(np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
@@ -282,11 +314,12 @@ class SampledSystem:
                 at = (at - 1) % count
                 propagated.setdefault(at, []).append(mu)
                 mu = self.gaps[at].F.T @ mu
-            else:
-                raise UndecidedError(
-                    f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
-                )
         return found
+
+
+def _largest_column(mu: Array) -> float:
+    """The largest sum of moduli of a column."""
+    return float(np.abs(mu).sum(axis=0).max(initial=0.0))
 
 
 def refuse_growth(plant: Plant, gaps: Array, last: float = 0.0) -> None:

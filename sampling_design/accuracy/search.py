@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,7 +12,7 @@ from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, bo
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import InitialSet
-from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
+from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, transferred_gains
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
 from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.records.arrays import Array
@@ -33,8 +33,9 @@ ADVERSARIES = (8, 32)
 """Those sought for the profile of one row, where one of them is a large program and where it is a small one."""
 
 ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
-SMALL = 5000  # cells times entries of w in a small program
-TOLERANCE = 1e-7  # asked of the solver: what both sides prove is second order in it
+SMALL = 20000  # states times states and entries of w, all along the window, of a small program
+TAIL = 64  # samples back to which gains that are put together go on as the filter's, at most
+TOLERANCE = 1e-5  # asked of the solver: what both sides prove is second order in it
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
 LONGEST = 4096  # samples back beyond which the past is not followed
 FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
@@ -97,9 +98,10 @@ class GainSearch:
         self.directions = directions
         self.adversaries: list[list[Adversary]] = [[] for _ in range(len(system.samples))]
         undriven = system.lasting is not None and system.lasting.undriven
+        self._forgets = system.start is None and not undriven
+        self._tail = min(system.memory, TAIL) if self._forgets else 1
         self._long = (
-            system.start is None
-            and not undriven
+            self._forgets
             and system.memory > LASTING
             and boxed(system, list(range(len(system))))
         )
@@ -158,6 +160,8 @@ class GainSearch:
         self.solves += 1
         self._tell()
         gains = self.window(j, self.back, False).gains(mu, enough)
+        if self._tail > self.back:
+            gains = min(gains, self.evaluate(j, mu, gains.gains), key=lambda one: one.value)
         self.directions[j].add(mu, gains)
         return gains
 
@@ -198,12 +202,19 @@ class GainSearch:
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1], nodes[k], adversary.system)
             self.adversaries[nodes[k]].append(part)
 
-    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
-        """What any gains prove of mu'z_j; no solver."""
-        branch = len(self.system.nodes(j, 0))  # samples of which some results are out, which are beside the count
-        nodes, start = self.past(j, max(len(gains) - branch, 1), False)
-        missing = [np.zeros(len(self.system.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
-        return evaluated(self.system, nodes, start, mu, [*missing, *gains])
+    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...], meant: tuple[int, Array] | None = None) -> Gains:
+        """What gains prove of mu'z_j, the filter's being added for the past beyond theirs; no solver.
+
+        Those of another direction, `meant`, after a node: with the filter's for what parts the two.
+        """
+        system, branch = self.system, len(self.system.nodes(j, 0))  # samples with results out are beside the count
+        nodes, start = self.past(j, max(len(gains) - branch, self._tail), False)
+        others, direction = (j, mu) if meant is None else meant
+        if start.whole:
+            others_nodes = system.latest(others, len(gains))
+            gains = transferred_gains(system, nodes, mu, others_nodes, direction, gains)
+        missing = [np.zeros(len(system.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
+        return evaluated(system, nodes, start, mu, [*missing, *gains])
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
@@ -293,11 +304,14 @@ class GainSearch:
             offset = panel + int(ends[1] > ends[0])
             high, at, peak = self._highest(found)
             enough = max(high, found.lower * (1 + rtol * SHARE))
-            if high > 0 and found.solved[at][peak] < self.back:
+            shallow = high > 0 and found.solved[at][peak] < self.back
+            if shallow and high > found.lower * (1 + rtol * SHARE):
                 self._node(found, at, peak)
             elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and self._promising(found, j, offset, enough):
                 if self._combined(found, j, offset) > enough:
                     self._node(found, j, offset, enough)
+            elif shallow:
+                self._node(found, at, peak)
             elif not self._close(found, *((high, at, peak) if high > 0 else (top, j, offset)), rtol):
                 return found
 
@@ -339,17 +353,30 @@ class GainSearch:
 
     def _promising(self, found: RowSearch, j: int, offset: int, enough: float) -> bool:
         """Whether gains at an offset may lower a bound there, which is not the width of its panel alone."""
-        untried = bool(self.directions[j].gains) and (j, offset) not in found.combined
+        untried = (j, offset) not in found.combined and any(map(bool, found.solved.values()))
         return offset not in found.solved[j] and (untried or float(found.nodes[j][offset]) > enough)
 
     def _combined(self, found: RowSearch, j: int, offset: int) -> float:
         """What the gains of the nearest directions prove together at an offset; no solver."""
         mu, directions = found.opened[j].mu[offset], self.directions[j]
-        if (j, offset) not in found.combined and directions.gains:
+        if (j, offset) not in found.combined:
             found.combined.add((j, offset))
-            directions.add(mu, self.evaluate(j, mu, combined_gains(self.system, j, mu, directions)))
+            for gains in self._guessed(found, j, offset):
+                directions.add(mu, gains)
             self._refresh(found, j)
         return float(found.nodes[j][offset])
+
+    def _guessed(self, found: RowSearch, j: int, offset: int) -> Iterator[Gains]:
+        """Gains at an offset of gap j, from those of its own directions and of the gap where one is solved nearest."""
+        mu, d = found.opened[j].mu[offset], found.opened[j].d[offset]
+        apart = {k: min(abs(found.opened[k].d[o] - d) for o in own) for k, own in found.solved.items() if own and k != j}
+        for k in [j, *sorted(apart, key=apart.__getitem__)[:1]]:
+            opened, directions = found.opened[k], self.directions[k]
+            if not directions.gains:
+                continue
+            target = mu if k == j else opened.mu[int(np.argmin(np.abs(opened.d - d)))]
+            gains, made = combined(self.system, k, target, directions)
+            yield self.evaluate(j, mu, gains, (k, made))
 
     def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
         opened = found.opened[j]
@@ -373,13 +400,18 @@ class GainSearch:
         """Smooth the upper curve, then seek an adversary in every gap where the two bounds are furthest apart."""
         if found.idle:
             return
-        gaps = list(found.opened)
+        gaps, n, cells = list(found.opened), self.system.D.size, [gap.cells for gap in self._coarse.gaps]
+        small = self.deep * n * (n + float(np.mean([len(own) * own.shape[2] for own in cells] or [0]))) < SMALL
         for j in gaps:
             if self.budget.over:
                 return
             known = PROFILE * float(self.attained(found, j)[0]) if self._long else 0.0
-            if 0 not in found.solved[j] and known < found.nodes[j][0] < np.inf:
+            if 0 in found.solved[j] or not known < found.nodes[j][0] < np.inf:
+                continue
+            if small or not any(found.solved.values()):
                 self._node(found, j, 0, known)
+            else:
+                self._combined(found, j, 0)
         if self._long:
             self._rough_profile(found)
             return
@@ -393,15 +425,12 @@ class GainSearch:
             else:
                 self._combined(found, j, offset)
             slack[j] = self._slack(found, j)
-        small = (
-            self.deep * float(np.mean([g.cells.shape[0] * g.cells.shape[2] for g in self._coarse.gaps] or [0])) < SMALL
-        )
         for _ in range(ADVERSARIES[small]):
             ratio, j, offset = max((r, j, o) for j in gaps for r, o in [self._apart(found, j)])
             if ratio <= PROFILE or self.budget.over:
                 break
             deep = self.deep
-            self.deep = deep if small else min(deep, 2 * self.back)
+            self.deep = deep if small else min(deep, self.back)
             self._both_sides_at(found, j, offset, rough=True)
             self.deep = deep
 
@@ -442,8 +471,15 @@ class GainSearch:
 
 def combined_gains(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> tuple[Array, ...]:
     """Return gains for mu'z_j put together from those of the nearest directions, the latest sample last."""
+    return combined(system, j, mu, directions)[0]
+
+
+def combined(
+    system: SampledSystem, j: int, mu: Array, directions: BoundedDirections
+) -> tuple[tuple[Array, ...], Array]:
+    """Return the same, and what they are the gains of: nearly mu."""
     place, share = directions.fit(mu[None])
     parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(place[0], share[0], strict=True)]
     empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]
     both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
-    return tuple(a + b for a, b in zip(*both, strict=True))
+    return tuple(a + b for a, b in zip(*both, strict=True)), share[0] @ directions.mu[place[0]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -102,7 +103,7 @@ class AccuracyWitness(Record):
         size = np.max(np.abs(self.w), axis=0, initial=0.0) if units is None else units
         A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]  # what is 0 cannot close a gap
         moves, size = size > 0, np.where(size > 0, size, 1.0)
-        flows = forced_flow(A, G, np.diff(self.edges))
+        flows = _cell_flows(A, G, self.edges)
         ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
         z, w = self.states / scale, self.w / size
         for at, inside in _alike(ends[:-1]):  # each gap is simulated from its own state
@@ -125,7 +126,7 @@ class AccuracyWitness(Record):
         """Return the witness with states that follow from the first one by its disturbance."""
         scale, size = self.scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
         A, G = self.plant.A * scale / scale[:, None], self.plant.G * size / scale[:, None]
-        flows, w = forced_flow(A, G, np.diff(self.edges)), self.w / np.where(size > 0, size, 1.0)
+        flows, w = _cell_flows(A, G, self.edges), self.w / np.where(size > 0, size, 1.0)
         ends = np.searchsorted(self.edges, self.samples)
         onward, moved = np.zeros((len(ends) - 1, len(scale), len(scale))), np.zeros((len(ends) - 1, len(scale)))
         for at, inside in _alike(ends):
@@ -143,7 +144,7 @@ class AccuracyWitness(Record):
 
     def scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
-        moved, balance = self._moved()
+        moved, balance = self._moved
         return np.where(moved > 0, moved, balance)
 
     def sizes_at_samples(self, initial: InitialSet | None) -> Array:
@@ -151,7 +152,7 @@ class AccuracyWitness(Record):
 
         What w does within a cell; of a state that it does not move, what the start leaves of it by then.
         """
-        moved, balance = self._moved()
+        moved, balance = self._moved
         if initial is None or not self.states[0].any():
             return np.where(moved > 0, moved, balance)[None]
         bounded = np.linalg.norm(initial.rows, axis=0)
@@ -161,6 +162,7 @@ class AccuracyWitness(Record):
             left = np.abs(expm_batch(self.plant.A * balance / balance[:, None], passed)) @ (start / balance) * balance
         return np.where(moved > 0, moved, np.where(np.isfinite(left), left, 0.0))
 
+    @cached_property
     def _moved(self) -> tuple[Array, Array]:
         """How far w carries each state over the longest cell, and sizes that balance A."""
         balance = balanced_schur(self.plant.A).d
@@ -182,6 +184,15 @@ class AccuracyWitness(Record):
         """Plain data."""
         outputs = self.outputs.astype(int).tolist()
         return {**selected(self, "row edges w samples last states value"), "outputs": outputs}
+
+
+def _cell_flows(A: Array, G: Array, edges: Array) -> Array:
+    """Flows over cells (M, n, n + q); those whose lengths differ by the rounding of their ends alone share one."""
+    if edges.size < 2:
+        return forced_flow(A, G, [])
+    lengths, digit = np.diff(edges), 2 * np.spacing(edges[-1])
+    _, first, place = np.unique(np.rint(lengths / digit), return_index=True, return_inverse=True)
+    return np.asarray(forced_flow(A, G, lengths[first])[place])
 
 
 def _alike(ends: Index) -> Iterator[tuple[Index, Index]]:
@@ -267,7 +278,7 @@ def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset
         d = opened.d[: offset + 1]
         if d[0] > 0:
             d = np.append(np.linspace(0.0, d[0], opened.d.size)[:-1], d)
-        moved = forced_flow(system.A, system.G, np.diff(d))[:, :, len(system.D) :]
+        moved = _cell_flows(system.A, system.G, d)[:, :, len(system.D) :]
         mean = np.einsum("ki,kiq->kq", (row * system.D) @ expm_batch(system.A, d[:-1]), moved)
         if system.bounds.w_ball:
             size = np.linalg.norm(mean, axis=1, keepdims=True)

@@ -293,7 +293,7 @@ def _record(
     for done, (k, search) in enumerate(found.items()):
         assert finder is not None
         limit = finder.budget.share(1 / (len(found) - done))
-        again = finder.opened(search.row)  # with what was found for the rows after it
+        again = finder.opened(search.row, search.opened)  # with what was found for the rows after it
         at_samples[k] = _at_samples(question, finder.system, again)
         above[k] = np.concatenate(list(again.panels.values()))
         side, searched = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))

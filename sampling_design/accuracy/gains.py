@@ -87,13 +87,15 @@ def transferred_gains(
     """Return gains for mu'z_K from those for meant'z at the last of other nodes: where costates part, the filter's."""
     found = [np.zeros(0)] * len(nodes)
     for k in range(1, len(nodes) + 1):
-        sample, lam, apart = system.samples[nodes[-k]], None, mu
+        sample, apart = system.samples[nodes[-k]], mu
         if k <= len(gains):
             other, same = system.samples[others[-k]], nodes[-k] == others[-k]
             if same or np.array_equal(sample.outputs, other.outputs):
-                lam = gains[-k] if same else gains[-k] * sample.size / other.size
-                apart = mu - (meant if same else system.L[nodes[-k]].T @ np.linalg.solve(system.L[others[-k]].T, meant))
-        found[-k] = sample.K.T @ apart if lam is None else lam + sample.K.T @ apart
+                found[-k] = gains[-k] if same else gains[-k] * sample.size / other.size
+                here = meant if same else system.L[nodes[-k]].T @ np.linalg.solve(system.L[others[-k]].T, meant)
+                last = k == len(gains) < len(nodes)  # what is known before it counts this sample once more
+                apart = mu - (sample.H.T @ found[-k] if last else here)
+        found[-k] = (found[-k] if found[-k].size else 0.0) + sample.K.T @ apart
         if k < len(nodes):
             mu = system.gap(nodes[-k - 1]).F.T @ (mu - sample.H.T @ found[-k])
             if k < len(gains):

@@ -161,7 +161,7 @@ class GainSearch:
         self._tell()
         gains = self.window(j, self.back, False).gains(mu, enough)
         if self._tail > self.back:
-            gains = min(gains, self.evaluate(j, mu, gains.gains), key=lambda one: one.value)
+            gains = min(gains, self.followed(j, mu, gains.gains), key=lambda one: one.value)
         self.directions[j].add(mu, gains)
         return gains
 
@@ -182,7 +182,7 @@ class GainSearch:
         if not from_rest and lasting is not None:
             adversary = max(adversary, self._for_ever(j, mu, lasting), key=lambda one: one.value)
         self._keep(j, adversary)
-        gains = self.evaluate(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
+        gains = self.followed(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
         self.directions[j].add(mu, gains)
         return gains, adversary
 
@@ -202,19 +202,24 @@ class GainSearch:
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1], nodes[k], adversary.system)
             self.adversaries[nodes[k]].append(part)
 
-    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...], meant: tuple[int, Array] | None = None) -> Gains:
-        """What gains prove of mu'z_j, the filter's being added for the past beyond theirs; no solver.
+    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
+        """What any gains prove of mu'z_j; no solver."""
+        branch = len(self.system.nodes(j, 0))  # samples of which some results are out, which are beside the count
+        nodes, start = self.past(j, max(len(gains) - branch, 1), False)
+        missing = [np.zeros(len(self.system.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
+        return evaluated(self.system, nodes, start, mu, [*missing, *gains])
 
-        Those of another direction, `meant`, after a node: with the filter's for what parts the two.
+    def followed(self, j: int, mu: Array, gains: tuple[Array, ...], meant: tuple[int, Array] | None = None) -> Gains:
+        """The same, with the filter's gains for the past beyond theirs.
+
+        Of those for another direction, `meant` after a node: with the filter's for what parts the two.
         """
-        system, branch = self.system, len(self.system.nodes(j, 0))  # samples with results out are beside the count
-        nodes, start = self.past(j, max(len(gains) - branch, self._tail), False)
-        others, direction = (j, mu) if meant is None else meant
-        if start.whole:
-            others_nodes = system.latest(others, len(gains))
-            gains = transferred_gains(system, nodes, mu, others_nodes, direction, gains)
-        missing = [np.zeros(len(system.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
-        return evaluated(system, nodes, start, mu, [*missing, *gains])
+        system, (k, direction) = self.system, (j, mu) if meant is None else meant
+        nodes, start = self.past(j, max(len(gains) - len(system.nodes(j, 0)), self._tail), False)
+        if meant is None and len(nodes) <= len(gains) or not start.whole:
+            return self.evaluate(j, mu, gains)
+        gains = transferred_gains(system, nodes, mu, system.latest(k, len(gains)), direction, gains)
+        return evaluated(system, nodes, start, mu, [*gains])
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
@@ -258,10 +263,10 @@ class GainSearch:
         target = min(best * (1 - rtol), below * (1 + rtol / 8))
         return adversary.value >= target or gains.value < best * (1 - rtol / 8)
 
-    def opened(self, row: Array) -> RowSearch:
-        """A row over the schedule, as far as directions and adversaries against other rows tell."""
+    def opened(self, row: Array, gaps: dict[int, RowBetweenSamples] | None = None) -> RowSearch:
+        """A row over the schedule, as far as directions and adversaries against other rows tell; `gaps` of it if known."""
         known: KnownIntegrals = {}
-        gaps = {j: open_row(self.system, j, row, known=known) for j in self.system.judged}
+        gaps = gaps or {j: open_row(self.system, j, row, known=known) for j in self.system.judged}
         bounds = {j: gap.bound(self.directions[j]) for j, gap in gaps.items()}
         nodes, panels = ({j: both[side] for j, both in bounds.items()} for side in (0, 1))
         found = RowSearch(row, gaps, nodes, panels, {j: {} for j in gaps})
@@ -376,7 +381,7 @@ class GainSearch:
                 continue
             target = mu if k == j else opened.mu[int(np.argmin(np.abs(opened.d - d)))]
             gains, made = combined(self.system, k, target, directions)
-            yield self.evaluate(j, mu, gains, (k, made))
+            yield self.followed(j, mu, gains, (k, made))
 
     def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
         opened = found.opened[j]

@@ -13,7 +13,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 Content = tuple[bytes, tuple[int, ...], str]
 ANSWERS = 128  # of one function: windows, samples and searches ask for those of one plant again and again
-ENTRIES = 256  # of the largest array that is kept by: the answers stay below 5 MB
+ENTRIES = 256  # of the largest array that so many are kept by: the answers stay below 5 MB
+LARGE = (8, 6400)  # answers of one function, and entries, where arrays are larger: those of one plant that is at work
 
 
 def kept(function: Callable[P, T]) -> Callable[P, T]:
@@ -23,8 +24,7 @@ def kept(function: Callable[P, T]) -> Callable[P, T]:
     keyword and with larger arrays are worked out anew.
     """
 
-    @functools.lru_cache(maxsize=ANSWERS)
-    def known(*contents: object) -> T:
+    def found_for(*contents: object) -> T:
         found = function(*map(_filled, contents))  # type: ignore[call-arg,arg-type]
         parts = vars(found).values() if hasattr(found, "__dict__") else found if isinstance(found, tuple) else (found,)
         for part in parts:
@@ -32,17 +32,23 @@ def kept(function: Callable[P, T]) -> Callable[P, T]:
                 part.flags.writeable = False
         return found
 
+    known, large = (functools.lru_cache(maxsize=size)(found_for) for size in (ANSWERS, LARGE[0]))
+
     @functools.wraps(function)
     def asked(*arguments: P.args, **named: P.kwargs) -> T:
         contents: list[object] = []
+        most = 0
         for each in arguments:
             if isinstance(each, np.ndarray):
-                if each.size > ENTRIES:
+                most = max(most, each.size)
+                if most > LARGE[1]:
                     return function(*arguments, **named)
                 contents.append((each.tobytes(), each.shape, each.dtype.char))
             else:
                 contents.append(each)
-        return known(*contents) if not named else function(*arguments, **named)
+        if named:
+            return function(*arguments, **named)
+        return (known if most <= ENTRIES else large)(*contents)
 
     return asked
 

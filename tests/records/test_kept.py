@@ -6,7 +6,7 @@ import pytest
 from sampling_design.numerics.balancing import balance
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, exponential_terms
 from sampling_design.plants.grouping import balanced_schur
-from sampling_design.records.kept import ENTRIES, kept
+from sampling_design.records.kept import ENTRIES, LARGE, kept
 
 
 def counted():
@@ -39,11 +39,18 @@ def test_the_same_content_is_asked_once_and_another_again():
 def test_large_arrays_keywords_and_failures_are_worked_out_anew():
     total, asked = counted()
     for _ in range(2):
-        total(np.zeros(ENTRIES + 1))
+        total(np.zeros(LARGE[1] + 1))
         total(np.zeros(2), factor=2.0)
         with pytest.raises(ArithmeticError, match="negative"):
             total(np.zeros(2), -1.0)
     assert len(asked) == 6
+
+
+def test_of_larger_arrays_the_last_few_answers_are_kept():
+    total, asked = counted()
+    for k in [*range(LARGE[0] + 1), LARGE[0], 0]:
+        total(np.full(ENTRIES + 1, float(k)))
+    assert len(asked) == LARGE[0] + 2  # the last one is known still, the first one no more
 
 
 @pytest.mark.parametrize("A", [np.array([[0.0, 1.0], [-1.0, 0.0]]), np.diag([1e-9, 1e9]) + 1.0])

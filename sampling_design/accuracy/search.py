@@ -40,6 +40,10 @@ LASTING = 32  # a filter's memory, in samples, from which on the search begins w
 LONGEST = 4096  # samples back beyond which the past is not followed
 FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
 
+CLOSER = 0.1
+"""Share of what parts two sides that longer gains must take away where nothing drives a mode: all directions that it
+turns through are then solved anew, and what is attained may be as far below for ever."""
+
 NEGLIGIBLE = 1e-4
 """A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if
 adversaries attain less than so much of that again: what nothing drives and what decays is known exactly in the end, no
@@ -244,10 +248,11 @@ class GainSearch:
         """Whether gains of more samples do; what nothing drives may need all that its filter remembers."""
         undriven = self.system.lasting is not None and self.system.lasting.undriven
         back, most = self.back, (LONGEST if below > 0 else FADING) if undriven else self.deep
+        worth = max(best * rtol / 8, (best - below) * CLOSER * undriven)
         for longer in sorted({2 * back, min(self.system.memory, FADING)} if undriven else {2 * back}):
             if back < longer <= most:
                 self.back = longer
-                if self.gains(j, mu).value < best * (1 - rtol / 8):
+                if self.gains(j, mu).value < best - worth:
                     return True
         self.back = back
         return False

@@ -34,11 +34,11 @@ def adversary(A, C, G, times, c, w, v, cells=40, start=None, unmeasured=()):
             rules.append(cp.norm(start[some] / known[0][some]) <= 1)
         else:
             rules.append(cp.abs(start[some]) <= known[0][some])
-    for h in np.diff(times):
+    for place, h in enumerate(np.diff(times), 1):
         u = cp.Variable((cells, G.shape[1]))
         parts = _cells(A, G, h, cells)
         x = expm(A * h) @ x + sum(parts[k] @ u[k] for k in range(cells))
-        rules += [cp.norm(u, axis=1) <= w, cp.norm(C @ x) <= v]
+        rules += [cp.norm(u, axis=1) <= w, *([] if place in unmeasured else [cp.norm(C @ x) <= v])]
         inputs.append(u)
     problem = cp.Problem(cp.Maximize(c @ x), rules)
     problem.solve(solver=cp.CLARABEL)

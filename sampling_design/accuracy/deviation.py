@@ -169,14 +169,15 @@ def deviations(
     W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
     ends = (None, None) if schedule.endless else (float(question.nodes[0]), question.end)
     question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
-    known = question.known()
-    safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
+    known = question.lasting()  # of what nothing drives and what decays, an endless past has left nothing
+    safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
     curves = _DeviationCurves(question, known.plant, W, known.moving) if safe else None
     lengths = np.diff(question.nodes, append=question.end)
     offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
-    profile = np.full((len(rows), times.size), np.inf)
-    worst, worst_at, mean = np.full(len(rows), np.inf), np.full(len(rows), times[0]), np.full(len(rows), np.inf)
+    unknown = np.inf if known.lift.shape[1] or known.modes else 0.0
+    profile = np.full((len(rows), times.size), unknown)
+    worst, worst_at, mean = np.full(len(rows), unknown), np.full(len(rows), times[0]), np.full(len(rows), unknown)
     for k in safe:
         assert curves is not None  # there is such a row
         row = rows.matrix[k] @ known.lift

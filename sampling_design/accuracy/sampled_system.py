@@ -233,9 +233,16 @@ class SampledSystem:
     def _steps_back(self, size: Callable[[Array], float], least: float) -> int:
         """Samples back from the first one until less than `least` is left of an error there by the filter's gains.
 
-        Over `PERIODS` at most, by doubled periods: what is forgotten slowly costs no more.
+        Over `PERIODS` at most; after `PATIENT` samples by doubled periods: what is forgotten slowly costs no more.
         """
         count, r = len(self), self.determined
+        left = np.eye(self.D.size)[:, :r]
+        for steps in range(min(PATIENT, PERIODS * count)):
+            left = self._before(-steps, 1, left)
+            if size(left) < least:
+                return steps + 1
+            if size(left) > GROWN:
+                raise too_far()
         left = np.eye(self.D.size)[:, :r]
         periods = [self._before(0, count, left)[:r]]
         while size(periods[-1]) >= least and 2 ** len(periods) <= PERIODS:
@@ -290,10 +297,6 @@ class SampledSystem:
         Raises UndecidedError if it does not contract.
         """
         count, r, found = len(self), self.determined, []
-        if self._steps_back(_largest_column, HALVED) >= PERIODS * count:
-            raise UndecidedError(
-                f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
-            )
         for j in range(count):
             mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
             propagated: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
@@ -305,6 +308,10 @@ class SampledSystem:
                 left = _largest_column(mu)
                 if left > GROWN:
                     raise too_far()
+                if steps == PATIENT and not j and self._steps_back(_largest_column, HALVED) >= PERIODS * count:
+                    raise UndecidedError(
+                        f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
+                    )
                 if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
                     for gap, columns in propagated.items():
                         every = self.gaps[gap].integral(np.hstack(columns), self.bounds.w_ball)

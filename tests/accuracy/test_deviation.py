@@ -60,6 +60,19 @@ def test_an_unstable_mode_that_no_noise_reaches_is_still_followed():
     assert found.worst[0] ** 2 == pytest.approx((np.exp(1.0) - 1) * 4.0, rel=1e-5)
 
 
+@pytest.mark.parametrize("beside", [-0.3, -2.0])
+def test_beside_it_what_decays_and_no_noise_reaches_is_known(beside):
+    """It leaves nothing in the end, and its variance has no size that it could settle at."""
+    S = np.array([[1.0, 0.4], [0.3, 1.0]])
+    plant = sd.Plant(S @ np.diag([0.5, beside]) @ np.linalg.inv(S), np.array([[1.0, 1.0]]) @ np.linalg.inv(S))
+    schedule, sizes = sd.PeriodicSchedule([1.0]), {"w_intensity": 0.0, "v_deviation": 2.0}
+    found = sd.accuracy.standard_deviation(plant, schedule, of=np.vstack([np.linalg.inv(S), np.eye(2)]), **sizes)
+    growing = np.sqrt((np.exp(1.0) - 1) * 4.0)
+    assert found.worst == pytest.approx([growing, 0.0, S[0, 0] * growing, S[1, 0] * growing], rel=1e-5, abs=1e-9)
+    still = sd.accuracy.standard_deviation(sd.Plant([[beside]], [[1.0]]), schedule, **sizes)
+    assert still.worst == still.mean == 0.0
+
+
 def test_a_finite_schedule_starts_from_nothing():
     plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
     found = sd.accuracy.standard_deviation(plant, sd.Schedule([0.0, 2.0]), w_intensity=0.0, v_deviation=0.3, end=3.0)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,9 @@ PANEL = 0.03125
 """Length of a panel of the quadrature times |A|: its bound is then loose by less than one in ten thousand."""
 
 PANELS = (16, 4096)  # least and largest number of panels of a gap, powers of two
+
+MANY, JOINED = 256, 8
+"""Panels from which on so many become one where integrals are only sizes of what a filter forgets: of stiff plants."""
 
 FINER = 4
 """Panels after the last sample are so many times shorter: there is one gap only, and nothing hides what it loses."""
@@ -80,6 +83,15 @@ class PropagatedGap:
         size, curve = (np.abs(X, out=X).reshape(count, q * k) for X in (p, bend))
         total = ends @ size + inner @ np.maximum(curve[1:], curve[:-1])
         return np.asarray(total.reshape(q, k).sum(axis=0) + math.sqrt(q) * more)
+
+    @cached_property
+    def coarser(self) -> PropagatedGap:
+        """The gap on panels that are `JOINED` times as long, where there are `MANY`: its integrals are bounded by more."""
+        if self.third.size <= MANY or self.third.size % JOINED:
+            return self
+        ends = (self.propagated[::JOINED], self.bend[::JOINED])
+        third = self.third.reshape(-1, JOINED).max(axis=1)
+        return replace(self, step=self.step * JOINED, propagated=ends[0], bend=ends[1], third=third)
 
     def cells(self, level: int) -> Array:
         """Return int e^{As}G ds (m, n, q) over cells on which an adversary's w is constant, finer with the level."""
@@ -180,6 +192,7 @@ class GapTable:
         """Return one gap, whose panels times |A| are at most so long; all that are asked for so have one size."""
         if length not in self._known:
             number = int(np.clip(np.ceil(self._size * length / panel), *PANELS))
+            number += -number % JOINED if number > MANY else 0
             with np.errstate(over="ignore", invalid="ignore"):
                 self._known.update(self._make_alike(np.array([length]), number, 2))
         return self._known[length]

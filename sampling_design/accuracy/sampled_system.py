@@ -314,7 +314,8 @@ class SampledSystem:
                     )
                 if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
                     for gap, columns in propagated.items():
-                        every = self.gaps[gap].integral(np.hstack(columns), self.bounds.w_ball)
+                        flow, back = self.gaps[gap].flow.coarser, self.gaps[gap].back
+                        every = flow.integral(back @ np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break

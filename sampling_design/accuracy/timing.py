@@ -43,6 +43,7 @@ MORE = 0.015
 
 TURNS = 24  # times that noise which is enough is sought: beyond them nothing bounds what late samples do
 FAR = 1e6  # so many times what a tolerance adds without it is no noise that is of use
+RUSHED = 3  # of them once the budget is spent, each with twice as much
 PANELS = 8  # panels of the time by which a sample may be late, at least
 KEPT_ROOM = MORE / 3  # that share where the gains that were kept prove it again
 FARTHEST = 64  # samples back of the gains that bound what a tolerance adds, at most
@@ -93,12 +94,15 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
     kept: tuple[Array, Array] | None = None
     least = 0.0
+    rushed = 0
     for turn in range(TURNS):
+        rushed += budget.over
         search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
         found = added(search, question, known, seek=not budget.over)
-        if not np.isfinite(found).all():
+        enough = is_enough(tried, found)
+        if not np.isfinite(found).all() or (rushed > RUSHED and not enough):
             break
-        if is_enough(tried, found):
+        if enough:
             kept = tried, found
             if np.all(tried <= ENOUGH * found) or budget.over:
                 return tried
@@ -107,12 +111,14 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
         if kept is not None and turn:
             return kept[0]
         least = least or float(found.max(initial=0.0))
-        before, tried = tried, extrapolated(before, tried, found) * (1 + MORE)
+        before, tried = tried, extrapolated(before, tried, found) * (2 if rushed else 1 + MORE)
         if np.any(tried > FAR * (least + 1e-300)):
             break
     if kept is not None:
         return kept[0]
     why = "the error that makes their times matter grows with them. Ask for a smaller `timing_tolerance`."
+    if rushed:
+        why = "`budget` ended before noise was found that stands for their times. Ask with a larger one."
     if not np.isfinite(found).all():
         why = f"they may show {', '.join(known.modes)}, which samples on time do not. Change the period a little."
     raise UndecidedError(f"undecided: nothing bounds what samples {question.timing_tolerance.describe()} may do: {why}")

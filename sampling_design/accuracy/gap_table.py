@@ -86,7 +86,7 @@ class PropagatedGap:
 
     @cached_property
     def coarser(self) -> PropagatedGap:
-        """The gap on panels that are `JOINED` times as long, where there are `MANY`: its integrals are bounded by more."""
+        """The gap on panels `JOINED` times as long, where there are `MANY`: what bounds its integrals is larger."""
         if self.third.size <= MANY or self.third.size % JOINED:
             return self
         ends = (self.propagated[::JOINED], self.bend[::JOINED])

@@ -7,6 +7,7 @@ Every map is three matrices (F, G, Q), G and Q positive semidefinite; two of the
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -14,8 +15,23 @@ import numpy as np
 
 from sampling_design.accuracy.undetectable import OTHER_STATES
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, carried, largest_first, root_update
+from sampling_design.numerics.filtering import (
+    CovarianceMap,
+    carried,
+    covariance_root,
+    information_update,
+    largest_first,
+    root_update,
+)
+from sampling_design.numerics.linalg import psd_root
 from sampling_design.records.arrays import Array
+
+COARSER = (1e-5, 1e-4, 1e-3, 1e-2)
+"""Noise that the filter takes a sensor to have at least, in units of what w does to a period's outputs, until its
+covariance settles: for scaling only."""
+
+RANDOM_WALK = 1e-3
+"""Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
 
 SETTLED = 1e-14  # relative change of a doubled covariance at which it counts as the limit
 DOUBLINGS = 60  # 2^60 periods: what has not settled by then does not
@@ -127,3 +143,64 @@ def _differ(one: Array, two: Array) -> float:
     size = np.sqrt(np.maximum(np.diag(first), np.diag(second)))
     size = np.where(size > 0, size, 1.0)
     return float(np.max(np.abs(first - second) / np.outer(size, size), initial=0.0))
+
+
+def settled(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array], list[Array]]:
+    """`_covariances` with their own noise or the first of `COARSER` that lets them settle, and rows' shares then.
+
+    Of sensors that are nearly exact a covariance has no digit left across what they show. Coordinates and gains need
+    none: what these prove is counted with the sensor's own noise.
+    """
+    reached = [np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", H, W, H), 0.0)) for H in rows]
+    most = max((float(each.max(initial=0.0)) for each in reached), default=0.0)
+
+    def with_noise(coarser: float) -> tuple[list[Array], list[Array], list[Array]]:
+        shares = [1 / np.maximum(1.0, coarser * each) for each in reached]
+        return *_covariances(F, W, [H * own[:, None] for H, own in zip(rows, shares, strict=True)]), shares
+
+    *tried, last = (0.0, *(coarser for coarser in COARSER if coarser * most > 1))
+    for coarser in tried:
+        with suppress(UndecidedError):
+            return with_noise(coarser)
+    return with_noise(last)
+
+
+def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
+    """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
+    maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
+    rooted = RootedPeriod(list(F), rows, [covariance_root(w) for w in W])
+    start = np.eye(F.shape[1])
+    try:
+        period = in_turn(maps)
+        several = period.repeated()
+        known = np.diag(several.G)
+        start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
+        walk = RANDOM_WALK * several(start)
+        P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
+        followed = rooted.walking(psd_root(walk)).gives_back(psd_root(P[0]))
+    except np.linalg.LinAlgError:  # of a condition beyond doubles: on which side of singular it falls is rounding's
+        followed = False
+    if not followed:
+        return _by_roots(rooted, np.sqrt(np.diag(start)))
+    for following in maps[:-1]:
+        P.append(following(P[-1]))
+    after = [information_update(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
+    return P, [_root_of(X) for X in after]
+
+
+def _root_of(X: Array) -> Array:
+    """A root of a covariance, of what has decayed beyond numbers beside the rest: any coordinates serve it."""
+    size = np.diag(X)
+    least = np.finfo(float).eps ** 2 * (float(size.max(initial=0.0)) or 1.0)
+    return np.asarray(np.linalg.cholesky(X + np.diag(np.maximum(1e-15 * size, least))), dtype=np.float64)
+
+
+def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Array]]:
+    """The same where a covariance in doubles has lost what modes that grow leave of it."""
+    root = np.diag(start)
+    for _ in range(len(start) + 1):
+        _, root, _ = rooted(root)
+    rooted = rooted.walking(np.sqrt(RANDOM_WALK) * root)
+    after = rooted.settled(root)
+    propagated = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
+    return [X @ X.T for X in [propagated[-1], *propagated[:-1]]], after

@@ -9,7 +9,6 @@ its gains also bound the error once and for all (`reach`), which is what an endl
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count as count_from
@@ -19,23 +18,16 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, state_scales
-from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
+from sampling_design.accuracy.riccati import settled
 from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, covariance_root, information_update, update_with_gain
-from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
+from sampling_design.numerics.filtering import update_with_gain
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 
 EXACT = 1e-6  # size given to an exact sensor, in units of what w does to its output over a period: for scaling only
-
-COARSER = (1e-5, 1e-4, 1e-3, 1e-2)
-"""Noise that the filter takes a sensor to have at least, in units of what w does to a period's outputs, until its
-covariance settles: for scaling only."""
-
-RANDOM_WALK = 1e-3
-"""Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
 
 PANEL = 0.125  # length of a panel times |A| in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone
@@ -70,6 +62,12 @@ class GapDynamics:
     def integral(self, mu: Array, ball: bool) -> Array:
         """Return an upper bound on the integral over the gap of h_W for each column of mu (n, k), for all real s."""
         return self.flow.integral(self.back @ mu, ball)
+
+    def integrals(self, passed: list[Array], ball: bool) -> Array:
+        """The same for columns that come by one after the other; coarser once those that decay fast are gone."""
+        first, *others = (self.back @ mu for mu in passed)
+        later = [self.flow.coarser.integral(np.hstack(others), ball)] if others else []
+        return np.concatenate([self.flow.integral(first, ball), *later])
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,12 +308,12 @@ class SampledSystem:
                     raise too_far()
                 if steps == PATIENT and not j and self._steps_back(_largest_column, HALVED) >= PERIODS * count:
                     raise UndecidedError(
-                        f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
+                        "Nothing bounds the error on this schedule: its filter forgets no past within "
+                        f"{PERIODS} periods."
                     )
                 if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
                     for gap, columns in propagated.items():
-                        flow, back = self.gaps[gap].flow.coarser, self.gaps[gap].back
-                        every = flow.integral(back @ np.hstack(columns), self.bounds.w_ball)
+                        every = self.gaps[gap].integrals(columns, self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break
@@ -371,7 +369,7 @@ def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Arr
     N = [basis[:, :r] for basis in bases]
     inner = np.array([N[(j + 1) % count].T @ F[j] @ N[j] for j in range(count)])
     driven = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
-    P, roots, shares = _settled(inner, driven, [H @ X for H, X in zip(rows, N, strict=True)])
+    P, roots, shares = settled(inner, driven, [H @ X for H, X in zip(rows, N, strict=True)])
     L, samples = np.zeros_like(F), []
     for j, H in enumerate(rows):
         output = H @ N[j]
@@ -431,67 +429,6 @@ def noise_units(C: Array, bounds: SignalBounds, W: Array) -> tuple[list[Array], 
         sizes.append(size)
         exact.append(v == 0)
     return rows, sizes, exact
-
-
-def _settled(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array], list[Array]]:
-    """`_covariances` with their own noise or the first of `COARSER` that lets them settle, and rows' shares then.
-
-    Of sensors that are nearly exact a covariance has no digit left across what they show. Coordinates and gains need
-    none: what these prove is counted with the sensor's own noise.
-    """
-    reached = [np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", H, W, H), 0.0)) for H in rows]
-    most = max((float(each.max(initial=0.0)) for each in reached), default=0.0)
-
-    def settled(coarser: float) -> tuple[list[Array], list[Array], list[Array]]:
-        shares = [1 / np.maximum(1.0, coarser * each) for each in reached]
-        return *_covariances(F, W, [H * own[:, None] for H, own in zip(rows, shares, strict=True)]), shares
-
-    *tried, last = (0.0, *(coarser for coarser in COARSER if coarser * most > 1))
-    for coarser in tried:
-        with suppress(UndecidedError):
-            return settled(coarser)
-    return settled(last)
-
-
-def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
-    """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
-    maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
-    rooted = RootedPeriod(list(F), rows, [covariance_root(w) for w in W])
-    start = np.eye(F.shape[1])
-    try:
-        period = in_turn(maps)
-        several = period.repeated()
-        known = np.diag(several.G)
-        start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
-        walk = RANDOM_WALK * several(start)
-        P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
-        followed = rooted.walking(psd_root(walk)).gives_back(psd_root(P[0]))
-    except np.linalg.LinAlgError:  # of a condition beyond doubles: on which side of singular it falls is rounding's
-        followed = False
-    if not followed:
-        return _by_roots(rooted, np.sqrt(np.diag(start)))
-    for following in maps[:-1]:
-        P.append(following(P[-1]))
-    after = [information_update(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
-    return P, [_root_of(X) for X in after]
-
-
-def _root_of(X: Array) -> Array:
-    """A root of a covariance, of what has decayed beyond numbers beside the rest: any coordinates serve it."""
-    size = np.diag(X)
-    least = np.finfo(float).eps ** 2 * (float(size.max(initial=0.0)) or 1.0)
-    return np.asarray(np.linalg.cholesky(X + np.diag(np.maximum(1e-15 * size, least))), dtype=np.float64)
-
-
-def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Array]]:
-    """The same where a covariance in doubles has lost what modes that grow leave of it."""
-    root = np.diag(start)
-    for _ in range(len(start) + 1):
-        _, root, _ = rooted(root)
-    rooted = rooted.walking(np.sqrt(RANDOM_WALK) * root)
-    after = rooted.settled(root)
-    propagated = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
-    return [X @ X.T for X in [propagated[-1], *propagated[:-1]]], after
 
 
 def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> GapDynamics:

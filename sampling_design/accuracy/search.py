@@ -218,7 +218,7 @@ class GainSearch:
         """
         system, (k, direction) = self.system, (j, mu) if meant is None else meant
         nodes, start = self.past(j, max(len(gains) - len(system.nodes(j, 0)), self._tail), False)
-        if meant is None and len(nodes) <= len(gains) or not start.whole:
+        if (meant is None and len(nodes) <= len(gains)) or not start.whole:
             return self.evaluate(j, mu, gains)
         gains = transferred_gains(system, nodes, mu, system.latest(k, len(gains)), direction, gains)
         return evaluated(system, nodes, start, mu, [*gains])
@@ -267,7 +267,7 @@ class GainSearch:
         return adversary.value >= target or gains.value < best * (1 - rtol / 8)
 
     def opened(self, row: Array, gaps: dict[int, RowBetweenSamples] | None = None) -> RowSearch:
-        """A row over the schedule, as far as directions and adversaries against other rows tell; `gaps` of it if known."""
+        """A row over the schedule, as far as directions and adversaries against other rows tell; `gaps` if known."""
         known: KnownIntegrals = {}
         gaps = gaps or {j: open_row(self.system, j, row, known=known) for j in self.system.judged}
         bounds = {j: gap.bound(self.directions[j]) for j, gap in gaps.items()}

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import sampling_design as sd
-from sampling_design.accuracy import deviation, sampled_system
+from sampling_design.accuracy import deviation, riccati, sampled_system
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.riccati import RootedPeriod
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
@@ -172,7 +172,7 @@ def test_where_doubling_meets_a_singular_matrix_roots_go_on(growth, monkeypatch)
     def singular(period):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(sampled_system, "limit", singular)
+    monkeypatch.setattr(riccati, "limit", singular)
     plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
     found = sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=0.1, v_deviation=0.1)
     assert found.worst == pytest.approx(in_many_digits(growth), rel=1e-5)

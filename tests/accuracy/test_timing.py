@@ -401,10 +401,10 @@ def test_noise_that_stands_for_times_is_proven_again_where_filters_remember_long
 
 
 def test_a_spent_budget_says_where_the_noise_of_late_samples_was_not_found():
-    plant, schedule = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), sd.PeriodicSchedule([1.0, 0.7])
+    plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0, 0.7])
     asked = {"w_bound": 0.1, "v_bound": 0.1, "of": "x1"}
     with pytest.raises(UndecidedError, match="`budget` ended before noise was found"):
-        sd.guaranteed_accuracy(plant, schedule, timing_tolerance=0.33, budget=1e-9, **asked)
-    rushed = sd.guaranteed_accuracy(plant, schedule, timing_tolerance=0.1, budget=1e-9, **asked)
+        guaranteed_accuracy(plant, schedule, timing_tolerance=0.33, budget=1e-9, **asked)
+    rushed = guaranteed_accuracy(plant, schedule, timing_tolerance=0.1, budget=1e-9, **asked)
     assert 0 < rushed.lower[0] <= rushed.upper[0] < 3
     assert rushed.verify()

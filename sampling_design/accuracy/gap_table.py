@@ -22,7 +22,7 @@ PANEL = 0.03125
 
 PANELS = (16, 4096)  # least and largest number of panels of a gap, powers of two
 
-MANY, JOINED = 256, 8
+MANY, JOINED = 256, 4
 """Panels from which on so many become one where integrals are only sizes of what a filter forgets: of stiff plants."""
 
 FINER = 4

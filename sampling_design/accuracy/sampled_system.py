@@ -306,7 +306,8 @@ class SampledSystem:
                 left = _largest_column(mu)
                 if left > GROWN:
                     raise too_far()
-                if steps == PATIENT and not j and self._steps_back(_largest_column, HALVED) >= PERIODS * count:
+                slow = steps == min(PATIENT, PERIODS * count) and not j
+                if slow and self._steps_back(_largest_column, HALVED) >= PERIODS * count:
                     raise UndecidedError(
                         "Nothing bounds the error on this schedule: its filter forgets no past within "
                         f"{PERIODS} periods."

@@ -35,6 +35,7 @@ ADVERSARIES = (8, 32)
 ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
 SMALL = 20000  # states times states and entries of w, all along the window, of a small program
 TAIL = 64  # samples back to which gains that are put together go on as the filter's, at most
+FOLLOWED = 8  # states from which on that costs less than the programs that it saves
 TOLERANCE, ROUGH = 1e-7, 1e-5  # asked of the solver: what both sides prove is second order in it; for gains alone
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
 LONGEST = 4096  # samples back beyond which the past is not followed
@@ -103,8 +104,8 @@ class GainSearch:
         self.adversaries: list[list[Adversary]] = [[] for _ in range(len(system.samples))]
         undriven = system.lasting is not None and system.lasting.undriven
         self._forgets = system.start is None and not undriven
-        self._bounded = system.start is None or system.start.whole
-        self._tail = min(system.memory, TAIL) if self._forgets else 1
+        self._follows = self._forgets and system.D.size >= FOLLOWED
+        self._tail = min(system.memory, TAIL) if self._follows else 1
         self._long = self._forgets and system.memory > LASTING and boxed(system, list(range(len(system))))
         if self._long:
             self.deep, self.back = system.memory, system.memory // 2
@@ -153,7 +154,7 @@ class GainSearch:
         if key not in self._windows:
             system = self._coarse if rough else self.system
             begun = system.lasting if lasting else None
-            tolerance = ROUGH if rough and self._forgets and not from_zero else TOLERANCE
+            tolerance = ROUGH if rough and self._follows and not from_zero else TOLERANCE
             self._windows[key] = ConeWindow(system, *self.past(j, count, from_zero), tolerance, begun)
         return self._windows[key]
 
@@ -361,7 +362,7 @@ class GainSearch:
 
     def _promising(self, found: RowSearch, j: int, offset: int, enough: float) -> bool:
         """Whether gains at an offset may lower a bound there, which is not the width of its panel alone."""
-        any_solved = self._bounded and any(map(bool, found.solved.values()))
+        any_solved = self._follows and any(map(bool, found.solved.values()))
         untried = (j, offset) not in found.combined and (bool(self.directions[j].gains) or any_solved)
         return offset not in found.solved[j] and (untried or float(found.nodes[j][offset]) > enough)
 
@@ -378,7 +379,7 @@ class GainSearch:
     def _guessed(self, found: RowSearch, j: int, offset: int) -> Iterator[Gains]:
         """Gains at an offset of gap j, from those of its own directions and of the gap where one is solved nearest."""
         mu, d = found.opened[j].mu[offset], found.opened[j].d[offset]
-        others = {k: own for k, own in found.solved.items() if own and k != j and self._bounded}
+        others = {k: own for k, own in found.solved.items() if own and k != j and self._follows}
         apart = {k: min(abs(found.opened[k].d[o] - d) for o in own) for k, own in others.items()}
         for k in [j, *sorted(apart, key=apart.__getitem__)[:1]]:
             opened, directions = found.opened[k], self.directions[k]
@@ -386,7 +387,7 @@ class GainSearch:
                 continue
             target = mu if k == j else opened.mu[int(np.argmin(np.abs(opened.d - d)))]
             gains, made = combined(self.system, k, target, directions)
-            yield self.followed(j, mu, gains, (k, made))
+            yield self.followed(j, mu, gains, (k, made)) if self._follows else self.evaluate(j, mu, gains)
 
     def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
         opened = found.opened[j]

@@ -11,6 +11,7 @@ import sampling_design as sd
 from sampling_design.accuracy import search
 from sampling_design.accuracy import witness as witnessing
 from sampling_design.accuracy.bounded_directions import GapProof
+from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.errors import ArgumentError
 from sampling_design.plants import library
 from sampling_design.records.budget import Budget
@@ -451,3 +452,30 @@ def test_a_witness_is_made_smaller_until_it_keeps_its_bounds(monkeypatch):
     kept = witnessing.admissible(found.witnesses[0], found.question)
     assert seen[-1] <= 1 < max(seen[:-1])
     assert kept.value == pytest.approx(found.witnesses[0].value, rel=1e-6)
+
+
+def large(n=8):
+    """A plant of many states that an endless schedule shows, with gaps that differ."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(n, n)) / np.sqrt(n) - 0.9 * np.eye(n)
+    return sd.Plant(A, rng.normal(size=(2, n))), sd.PeriodicSchedule([0.6, 0.9, 0.7])
+
+
+def test_of_many_states_gains_of_one_sample_serve_at_another_one():
+    """What is put together without a program is proven again as it stands, and hardly worse than what one finds."""
+    plant, schedule = large()
+    question = AccuracyQuestion.of(plant, schedule, 0.1, 0.2, None, None, None)
+    seek, row = search.GainSearch(*question.filter_bounds(plant)), np.eye(8)[:1]
+    mu = [seek.system.mu(j, row)[:, 0] for j in range(3)]
+    solved = [seek.gains(j, mu[j]) for j in range(3)]
+    for j, k in ((0, 1), (1, 2), (2, 0)):
+        found = seek.followed(j, mu[j], solved[k].gains, (k, mu[k]))
+        assert seek.evaluate(j, mu[j], found.gains).value == pytest.approx(found.value, rel=1e-12)
+        assert solved[j].value * (1 - 1e-4) <= found.value <= solved[j].value * 1.05
+
+
+def test_of_many_states_few_programs_close_the_bracket():
+    plant, schedule = large()
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=0.2, of="x1", rtol=0.05)
+    assert found.closed.all()
+    assert found.verify()

@@ -159,7 +159,7 @@ def guaranteed_accuracy(
         deviation = deviations(question, rows, w_intensity, v_deviation)
     late, found, why = question.timing_tolerance, list[Accuracy](), None
     for by in dict.fromkeys([0.0, float(late.forward.min()), -float(late.back.min())]):
-        if found and (limit.over or _is_narrow(found[0], tolerance)):
+        if (limit.over and (found or why)) or (found and _is_narrow(found[0], tolerance)):
             break
         try:
             asked, told = (question.about(by), None) if by else (question, progress)

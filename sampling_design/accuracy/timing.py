@@ -43,7 +43,7 @@ MORE = 0.015
 
 TURNS = 24  # times that noise which is enough is sought: beyond them nothing bounds what late samples do
 FAR = 1e6  # so many times what a tolerance adds without it is no noise that is of use
-RUSHED = 3  # of them once the budget is spent, each with twice as much
+RUSHED = 3  # turns that begin once the budget is spent, each with twice as much noise, at most
 PANELS = 8  # panels of the time by which a sample may be late, at least
 KEPT_ROOM = MORE / 3  # that share where the gains that were kept prove it again
 FARTHEST = 64  # samples back of the gains that bound what a tolerance adds, at most

@@ -162,8 +162,8 @@ def guaranteed_accuracy(
         if (limit.over and (found or why)) or (found and _is_narrow(found[0], tolerance)):
             break
         try:
-            asked, told = (question.about(by), None) if by else (question, progress)
-            answer = answer_of(asked, rows, tolerance, limit, deviation, told)
+            asked, tell = (question.about(by), None) if by else (question, progress)
+            answer = answer_of(asked, rows, tolerance, limit, deviation, tell)
         except UndecidedError as error:
             why = why or error
             continue

@@ -131,6 +131,6 @@ def _can_measure(problem: DesignProblem, zones: Array) -> Mask:
     there = problem.mask(inside)
     pieces = np.stack([edges[:-1], edges[1:]])[:, None, :] + P * np.arange(-1, 3)[:, None]
     low, high = pieces.reshape(2, -1)
-    touched = (zones[:, :1] <= high) & (zones[:, 1:] >= low)
+    touched = (zones[:, :1] < high) & (zones[:, 1:] >= low)
     can = np.any(touched[..., None] & np.tile(there, (4, 1)), axis=1)
     return np.asarray(can if problem.chosen is None else can & problem.chosen)

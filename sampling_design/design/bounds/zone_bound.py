@@ -28,7 +28,7 @@ from sampling_design.design.bounds.weak_duality import (
     roofs,
     rooted,
 )
-from sampling_design.design.bounds.zones import TINY
+from sampling_design.design.bounds.zones import TINY, within_period
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
@@ -209,7 +209,7 @@ def _most_divided(
 def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) -> float:
     """Bound sigma of every schedule whose samples lie in `zones`."""
     P = problem.period
-    zone = np.stack([zones[:, 0] - TINY * P, zones[:, 1] + TINY * P], axis=1)
+    zone = within_period(problem, np.stack([zones[:, 0] - TINY * P, zones[:, 1] + TINY * P], axis=1))
     wide = float(np.max(zone[:, 1] - zone[:, 0]))
     arc = cells(problem, float(zone[0, 0]), float(zone[-1, 1]), max(wide / 6, P / _FINEST))
     ends = arc.edges

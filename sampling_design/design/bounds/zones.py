@@ -126,7 +126,20 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
         low[0] = max(low[0], float(np.max(low[1:] - room[1:])))
         if np.any(high < low - _EMPTY * P):
             return None
-    return np.stack([np.minimum(low, high), np.maximum(low, high)], axis=1)
+    return within_period(problem, np.stack([np.minimum(low, high), np.maximum(low, high)], axis=1))
+
+
+def within_period(problem: DesignProblem, zones: Array) -> Array:
+    """Zones of samples that are sorted from the origin on, less their slack before it and a period later.
+
+    No sample is earlier than the first, by the count, and none a period late: what closes at the origin the first one
+    does not measure, nor the last one what opens there. Elsewhere the zones as they are.
+    """
+    if problem.fixed.size or problem.least_shift != problem.period:
+        return zones
+    found, end = zones.copy(), np.nextafter(problem.origin + problem.period, 0.0)
+    found[0], found[-1] = np.maximum(found[0], problem.origin), np.minimum(found[-1], end)
+    return found
 
 
 def _allowed(problem: DesignProblem, outputs: Mask, low: Array, high: Array) -> tuple[Array, Array]:

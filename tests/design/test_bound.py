@@ -7,11 +7,11 @@ from scipy.linalg import expm
 
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import weak_duality as bound
-from sampling_design.design.bounds.evidence import BoundPart, UpperBound
+from sampling_design.design.bounds.evidence import BoundPart, UpperBound, local_part, zone_part
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
 from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
-from sampling_design.design.bounds.zones import begins, origin_zones, tightened, zoned
+from sampling_design.design.bounds.zones import begins, origin_zones, regions, tightened, zoned
 from sampling_design.design.problem.design_problem import DesignProblem
 from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
@@ -163,6 +163,21 @@ def test_bound_with_forbidden_fixed_and_partly_available_times():
         tried += 1
         assert plain_sum(case, starts, Z, times) <= limit * (1 + 1e-8)
     assert tried > 50
+
+
+@pytest.mark.parametrize(("end", "other"), [(0, None), (-1, np.array([[0.0, 1.1], [3.3, 4.0]]))])
+def test_a_box_at_an_end_of_the_period_is_bounded_as_one_that_ends_just_before(end, other):
+    """The first sample does not measure what closes at the origin, nor the last one what opens there a period later."""
+    plant = Plant(np.eye(3, k=1), [[1.0, 0.0, 0.0], [0.3, 1.0, 0.0]])
+    hours = np.array([[1.1, 3.3]]), other
+    case = DesignProblem(plant, 5.5, 4.0, 1.2, 2, np.zeros((0, 2)), np.zeros(0), hours)
+    (whole,) = regions(case, "sorted")
+    box = case.origin + np.array([[[0.0, 0.5], [1.9, 2.45]], [[1.3, 1.8], [3.6, 4.0]]])[end]
+    box[end, end] = whole[end, end]
+    inside = box.copy()
+    inside[end, end] = case.origin + (1e-6 if end == 0 else 4.0 - 1e-6)
+    assert zone_part(case, box, "sorted")[0].value <= 1.001 * zone_part(case, inside, "sorted")[0].value
+    assert local_part(case, box, "sorted", 0.15)[0].value <= 1.001 * local_part(case, inside, "sorted", 0.15)[0].value
 
 
 def test_the_bound_is_attained_by_a_single_sample():

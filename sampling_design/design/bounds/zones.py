@@ -137,8 +137,11 @@ def within_period(problem: DesignProblem, zones: Array) -> Array:
     """
     if problem.fixed.size or problem.least_shift != problem.period:
         return zones
-    found, end = zones.copy(), np.nextafter(problem.origin + problem.period, 0.0)
-    found[0], found[-1] = np.maximum(found[0], problem.origin), np.minimum(found[-1], end)
+    found, tiny, end = zones.copy(), 4 * TINY * problem.period, problem.origin + problem.period
+    if abs(found[0, 0] - problem.origin) <= tiny:
+        found[0] = np.maximum(found[0], problem.origin)
+    if abs(found[-1, 1] - end) <= tiny:
+        found[-1] = np.minimum(found[-1], np.nextafter(end, 0.0))
     return found
 
 

@@ -130,18 +130,19 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
 
 
 def within_period(problem: DesignProblem, zones: Array) -> Array:
-    """Zones of samples that are sorted from the origin on, less their slack before it and a period later.
+    """Zones less their slack before the origin, and after what is allowed has repeated from there.
 
-    No sample is earlier than the first, by the count, and none a period late: what closes at the origin the first one
-    does not measure, nor the last one what opens there. Elsewhere the zones as they are.
+    By the count the first sample is no earlier, nor that much later; where samples are sorted none is. So none measures
+    in its slack what closes at the one end, or opens at the other.
     """
-    if problem.fixed.size or problem.least_shift != problem.period:
+    if problem.fixed.size or problem.least_shift == 0:
         return zones
-    found, tiny, end = zones.copy(), 4 * TINY * problem.period, problem.origin + problem.period
+    found, tiny, end = zones.copy(), 4 * TINY * problem.period, problem.origin + problem.least_shift
+    last = -1 if problem.least_shift == problem.period else 0
     if abs(found[0, 0] - problem.origin) <= tiny:
         found[0] = np.maximum(found[0], problem.origin)
-    if abs(found[-1, 1] - end) <= tiny:
-        found[-1] = np.minimum(found[-1], np.nextafter(end, 0.0))
+    if abs(found[last, 1] - end) <= tiny:
+        found[last] = np.minimum(found[last], np.nextafter(end, 0.0))
     return found
 
 

@@ -158,14 +158,18 @@ def test_no_two_times_of_a_varying_plant_are_nearer_than_events_are_told_apart(s
     assert min(late - early for late, early in asked) > 16 * np.finfo(float).eps * 8.0
 
 
-def test_a_program_of_an_inclusion_that_is_too_large_is_not_posed(monkeypatch):
+@pytest.mark.parametrize(
+    ("limit", "value", "why"),
+    [("MOST_NUMBERS", 1e2, "was proven at rate"), ("SETTING_UP", 1.0, "within `budget` = 5 s")],
+)
+def test_a_program_of_an_inclusion_that_is_too_large_is_not_posed(limit, value, why, monkeypatch):
     """Blocks of forty states took fifteen seconds before the solver was asked whether it could hold them."""
-    monkeypatch.setattr(conic_programs, "MOST_NUMBERS", 1e2)
+    monkeypatch.setattr(conic_programs, limit, value)
     monkeypatch.setattr(InclusionProgram, "_flow", lambda *given: pytest.fail("it was posed"))
     varying = sd.UncertainPlant(
         OSCILLATOR, [sd.UncertainParameter("k", -0.1, 0.1, A=[[0.0, 0.0], [-1.0, 0.0]])], varying=True
     )
-    with pytest.raises(UndecidedError, match=r"no P\(tau\) was proven"):
+    with pytest.raises(UndecidedError, match=why):
         sd.uncertain.certify_inclusion(varying, UNEVEN, eta=0.1, budget=5.0)
 
 

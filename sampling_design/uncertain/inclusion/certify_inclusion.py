@@ -17,6 +17,7 @@ from sampling_design.certificates.families.certify_family import best_rates
 from sampling_design.certificates.families.graphs import PathCompleteGraph, in_plant_terms
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.numerics.conic_programs import NO_TIME
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
@@ -137,7 +138,7 @@ def certify_inclusion(
             break
     assert search is not None
     assert tried is not None
-    if search.budget.over:
+    if search.budget.over or search.refused == NO_TIME:
         raise UndecidedError(
             f"undecided: no P(tau) was proven within `budget` = {short(float(budget or 0.0))} s. "
             "Give it more time, or a rate `eta`.", eta=tried, verification=verdict, status="budget",

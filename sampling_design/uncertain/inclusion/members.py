@@ -29,7 +29,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.schedule import PeriodicSchedule
-from sampling_design.uncertain.inclusion.program import InclusionData
+from sampling_design.uncertain.inclusion.program import InclusionData, InclusionProgram
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
 Schedules = SamplingFamily | PeriodicSchedule
@@ -147,6 +147,13 @@ class InclusionPlants:
         self._roots: dict[float, Array] = {}
         self._sampled = (self.members, self.chosen, self.chosen_outputs)
         self.hull: MemberHull | None = None
+        self.refused = ""
+
+    def program(self, posed: InclusionData) -> InclusionProgram:
+        """The blocks of a program, within what is left of the budget; `refused` is why the last one was not posed."""
+        made = InclusionProgram(posed, self.budget.seconds_left())
+        self.refused = made.refused.status if made.refused else self.refused
+        return made
 
     def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[InclusionData, Array]:
         """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""

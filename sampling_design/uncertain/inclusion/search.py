@@ -71,7 +71,7 @@ def fitted(
         posed = drawn(search, posed, share)
         some = replace(posed, dynamics=posed.dynamics[search.chosen] if share else posed.dynamics[:1],
                        outputs=posed.outputs[:, search.chosen_outputs])  # fmt: skip
-        program = InclusionProgram(some, search.budget.seconds_left())
+        program = search.program(some)
         x, slack, record = solve(program)
         if x is None:
             return None
@@ -216,7 +216,7 @@ class InclusionSearch(InclusionPlants):
     def _solve_once(self, posed: InclusionData, T: Array, narrow: bool) -> InclusionSolution | None:
         dynamics = self.inflated(posed)[self.chosen]
         some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.chosen_outputs])
-        search = InclusionProgram(some, self.budget.seconds_left())
+        search = self.program(some)
         floor, x, record = search.floor()
         if x is None:
             return None
@@ -246,7 +246,7 @@ class InclusionSearch(InclusionPlants):
             best = found if found.lam < (1 - ROOM) * best.lam else best  # less is rounding, and may cost information
             if done:
                 break
-            search = InclusionProgram(current, self.budget.seconds_left())
+            search = self.program(current)
         return best
 
     # --- from a solution to a certificate -----------------------------------------------------------------------------

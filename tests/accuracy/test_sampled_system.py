@@ -75,8 +75,9 @@ def test_an_error_that_is_not_forgotten_is_not_bounded(monkeypatch):
         _ = made("oscillator", [1.3]).reach
 
 
-def test_a_filter_that_does_not_hold_what_grows_is_told_in_time():
-    found = made("growing", [20.0])
+@pytest.mark.parametrize("gap", [20.0, 0.5])  # in the first samples, and in doubled periods
+def test_a_filter_that_does_not_hold_what_grows_is_told_in_time(gap):
+    found = made("growing", [gap])
     deaf = replace(found, samples=tuple(replace(each, K=0 * each.K) for each in found.samples))
     with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):
         deaf._filtered  # noqa: B018

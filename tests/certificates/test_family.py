@@ -168,7 +168,7 @@ def test_the_margin_stops_growing():
 
 
 def test_the_undecided_say_how_far_both_sides_came():
-    with pytest.raises(UndecidedError, match="Certified is, as the largest part in 5 halvings: Every sch") as caught:
+    with pytest.raises(UndecidedError, match="Certified is, as the largest part by halvings: Every sch") as caught:
         # gaps of pi - 1e-7: seen by every sample, but too little for the numbers of a certificate
         sd.certify(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0, P2=np.eye(2))
     details = caught.value.details
@@ -330,7 +330,7 @@ def test_the_undecided_without_bounds_say_that_units_were_weighed():
     far = Plant(units @ OSCILLATOR.A @ np.diag([1e-9, 1e9]), OSCILLATOR.C @ np.diag([1e-9, 1e9]))
     one = Jitter(PeriodicSchedule([1.0]), 0.0)
     with pytest.raises(
-        UndecidedError, match="noise of 1 count alike: give w_bound, v_bound and initial_error"
+        UndecidedError, match="w and v of 1 count alike: give w_bound, v_bound and initial_error"
     ) as caught:
         sd.certify(far, one, eta=0.8)
     assert caught.value.details["status"] == "undecided"

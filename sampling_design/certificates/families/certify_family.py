@@ -66,6 +66,7 @@ MEMORY_GAIN = 1.1
 IDLE = 1e-9
 """Least eigenvalue of the correlations of what the nominal schedule leaves, for coordinates: what nothing drives and
 decays faster than errors are discounted has none, and below it more digits are lost than a solver has."""
+ALIKE = "Without weights, bounds or scales w and v of 1 count alike: give w_bound, v_bound and initial_error."
 NARROWINGS = 5  # halvings of the part of a family that is certified where the whole is undecided
 LONGEST_PROOF = 60.0  # seconds in ball arithmetic for what doubles leave undecided
 ROOM = 1.05  # factor on lambda where a gap that was added leaves no point at the lambda found before
@@ -239,7 +240,20 @@ class FamilySearch:
             if level == levels[0]:
                 report(0.3, "search for a schedule without certificate")
                 least = refute(self.plant, self.family, bounds[0], hints=[proposal.gap])
-        raise _undecided(self, bounds[0], levels, missed, least)
+        raise _undecided(self, bounds[0], missed, least)
+
+    def largest_part(self, eta: float, levels: list[int]) -> SamplingFamily | None:
+        """The largest part of the family, by halvings, that has a certificate at one of these levels of memory."""
+        part, low, high = None, 0.0, 1.0
+        for _ in range(NARROWINGS):
+            fraction = (low + high) / 2
+            smaller = self.family.narrowed(fraction)
+            if smaller is None or self.budget.over:
+                break
+            part_of = replace(self, family=smaller)
+            certain = any(part_of.propose(eta, level).P is not None for level in levels)
+            low, high, part = (fraction, high, smaller) if certain else (low, fraction, part)
+        return part
 
     def by_own_decay(self, bounds: tuple[float, float], memory: int) -> FamilyProposal | None:
         """What the plant's own decay proves, whatever is sampled, without the noise gain; None if nothing."""
@@ -370,10 +384,11 @@ def certify_family(
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     _refuse_too_long_gap(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
     least = refute(plant, family, bounds[0], quick=True)
+    search = FamilySearch(plant, family, weights, given, noise_gain, limit)
 
     def decided(weights: NoiseWeights) -> FamilyCertificate:
-        search = FamilySearch(plant, family, weights, given, noise_gain, limit)
-        return certified(plant, family, weights, search.decide(bounds, list(levels), least, report))
+        with_them = replace(search, weights=weights)
+        return certified(plant, family, weights, with_them.decide(bounds, list(levels), least, report))
 
     try:
         return decided(weights)
@@ -386,16 +401,15 @@ def certify_family(
             with suppress(UndecidedError):
                 made = decided(other)
                 return replace(made, solver=replace(made.solver, details={**made.solver.details, "weights": RESPONSE}))
-        decaying = FamilySearch(plant, family, weights, given, noise_gain, limit).by_own_decay(bounds, levels[0])
+        decaying = search.by_own_decay(bounds, levels[0])
         if decaying is not None:
             with suppress(UndecidedError):
                 return certified(plant, family, weights, decaying)
-        if told:
-            raise
-        raise UndecidedError(
-            f"{error} Without weights, bounds or scales a disturbance of 1 and noise of 1 count alike: give w_bound, "
-            "v_bound and initial_error.", **error.details,
-        ) from None  # fmt: skip
+        text, details = str(error), dict(error.details)
+        if "levels" in details:
+            details["certified"] = part = search.largest_part(bounds[0], list(levels)[: details["levels"]])
+            text += "" if part is None else f" Certified is, as the largest part by halvings: {part.explain()}"
+        raise UndecidedError(text if told else f"{text} {ALIKE}", **details) from None
 
 
 def _weights_by_response(plant: Plant, family: SamplingFamily) -> NoiseWeights | None:
@@ -462,10 +476,8 @@ def without_states(
     )
 
 
-def _undecided(
-    search: FamilySearch, eta: float, levels: list[int], missed: list[FamilyProposal], least: NearestFailure
-) -> UndecidedError:
-    """The best of both sides: the largest part of the family that is certified, and the word that is observed worst."""
+def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], least: NearestFailure) -> UndecidedError:
+    """How far both sides came: the information that is kept, and the word that is observed worst."""
     if missed[-1].solver.status == TOO_LARGE:
         return UndecidedError(
             f"undecided at rate {eta:.6g}: the semidefinite program for {search.plant.n_states} states on this family "
@@ -477,23 +489,12 @@ def _undecided(
             f"undecided at rate {eta:.6g}: no certificate was proven within the budget, and no schedule of the family "
             "without one was found. Give it more time.", status="budget", eta=eta, word=least.schedule,
         )  # fmt: skip
-    part = None
-    low, high = 0.0, 1.0
-    for _ in range(NARROWINGS):
-        fraction = (low + high) / 2
-        smaller = search.family.narrowed(fraction)
-        if smaller is None:
-            break
-        part_of = replace(search, family=smaller)
-        certain = any(part_of.propose(eta, level).P is not None for level in levels[: len(missed)])
-        low, high, part = (fraction, high, smaller) if certain else (low, fraction, part)
-    best = max(missed, key=lambda item: item.kept, default=None)
-    known = "" if part is None else f" Certified is, as the largest part in {NARROWINGS} halvings: {part.explain()}"
-    known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""
+    best = max(missed, key=lambda item: item.kept)
+    known = f" Of the search for a counterexample: {least.searched}." if least.searched else ""
     return UndecidedError(
         f"undecided at rate {eta:.6g}: no certificate was found for this family, and no schedule of it without one."
-        f"{known} The least observable schedule has the gaps {short(least.schedule.gaps)} "
-        f"(margin {below(least.margin, 3)}).",
-        status="undecided", eta=eta, certified=part, kept=None if best is None else best.kept,
-        gap=None if best is None else best.gap, word=least.schedule, margin=least.margin, searched=least.searched,
+        f"{known} The least observable schedule has the gaps {short(least.schedule.gaps)} (margin "
+        f"{below(least.margin, 3)}).",
+        status="undecided", eta=eta, levels=len(missed), kept=best.kept, gap=best.gap, word=least.schedule,
+        margin=least.margin, searched=least.searched,
     )  # fmt: skip

@@ -401,14 +401,14 @@ def certify_family(
             with suppress(UndecidedError):
                 made = decided(other)
                 return replace(made, solver=replace(made.solver, details={**made.solver.details, "weights": RESPONSE}))
-        decaying = search.by_own_decay(bounds, levels[0])
-        if decaying is not None:
+        if (decaying := search.by_own_decay(bounds, levels[0])) is not None:
             with suppress(UndecidedError):
                 return certified(plant, family, weights, decaying)
         text, details = str(error), dict(error.details)
-        if "levels" in details:
-            details["certified"] = part = search.largest_part(bounds[0], list(levels)[: details["levels"]])
-            text += "" if part is None else f" Certified is, as the largest part by halvings: {part.explain()}"
+        match details:
+            case {"levels": int(tried)}:
+                details["certified"] = part = search.largest_part(bounds[0], list(levels)[:tried])
+                text += "" if part is None else f" Certified is, as the largest part by halvings: {part.explain()}"
         raise UndecidedError(text if told else f"{text} {ALIKE}", **details) from None
 
 

@@ -25,7 +25,7 @@ VERBS = {
     "window": ("bracket.py", lambda: sd.window_sigma(TURNING, UNEVEN, 4.0, 1e-9)),
     "late samples": ("bracket.py", lambda: sd.window_sigma(TURNING, UNEVEN, 4.0, 1e-9, timing_tolerance=0.01)),
     "window, box": ("branch_and_bound.py", lambda: sd.window_sigma(BOX, RHYTHM, 4.0, 0.1)),
-    "window, varying": ("bracket_varying.py", lambda: sd.window_sigma(VARYING, NINE, 3.0, 1e-3)),
+    "window, varying": ("bracket_varying.py", lambda: sd.window_sigma(VARYING, NINE, 3.0, 1e-5)),
     "worst case": ("spaced_sphere.py", lambda: sd.worst_case_sigma(OSCILLATOR, FEW, 1e-4)),
     "worst case, box": ("spaced_sphere.py", lambda: sd.worst_case_sigma(BOX, FEW, 0.1)),
 }

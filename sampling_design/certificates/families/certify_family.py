@@ -55,8 +55,7 @@ LAYERS, LAYERS_GIVEN = 2, 6
 a given P2 may be long, and one matrix below all of it far too small."""
 MOST_UNKNOWNS = 1500  # unknowns of a semidefinite program beyond which no layers are added
 ROUNDS = 8  # how often a gap that the proof found may be added to the grid
-SCAN = 6
-GOLDEN = 4
+SCAN, GOLDEN = 6, 4
 """Rates of the first scan, and bisections of the best one's neighbourhood afterwards."""
 COMMENSURATE = 1e3  # up to this ratio noise of one and disturbances of one are weighed beside each other
 RESPONSE = "noise as large as what disturbances of 1 do to an output within the longest gap"
@@ -66,7 +65,7 @@ MEMORY_GAIN = 1.1
 IDLE = 1e-9
 """Least eigenvalue of the correlations of what the nominal schedule leaves, for coordinates: what nothing drives and
 decays faster than errors are discounted has none, and below it more digits are lost than a solver has."""
-ALIKE = "Without weights, bounds or scales w and v of 1 count alike: give w_bound, v_bound and initial_error."
+ALIKE = " Without weights, bounds or scales w and v of 1 count alike: give w_bound, v_bound and initial_error."
 NARROWINGS = 5  # halvings of the part of a family that is certified where the whole is undecided
 LONGEST_PROOF = 60.0  # seconds in ball arithmetic for what doubles leave undecided
 ROOM = 1.05  # factor on lambda where a gap that was added leaves no point at the lambda found before
@@ -409,7 +408,8 @@ def certify_family(
             case {"levels": int(tried)}:
                 details["certified"] = part = search.largest_part(bounds[0], list(levels)[:tried])
                 text += "" if part is None else f" Certified is, as the largest part by halvings: {part.explain()}"
-        raise UndecidedError(text if told else f"{text} {ALIKE}", **details) from None
+        text += "" if told else ALIKE
+        raise UndecidedError(text, **details) from None
 
 
 def _weights_by_response(plant: Plant, family: SamplingFamily) -> NoiseWeights | None:

@@ -37,10 +37,10 @@ _substituted = blas.dtbsv
 ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
 CANCELLED = 1e-4  # share of the reference's cost below which the optimum becomes the reference, at two updates' price
 
-SETTLED = 0.1
+SETTLED = 1.0
 """Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes
 to come take their estimates for references: nearer to the optimum than what was predicted for them, at a twentieth of
-an update each. A lower share would show in the dual bound, whose margin counts what is gained: this one by 1e-10."""
+an update each. A lower share would show in the dual bound, whose margin counts what is gained."""
 
 FAR_OFF = 1e12
 """Sum of the squares of references and readings, in units of their weights, over the least cost, from which on rounding

@@ -306,7 +306,8 @@ def worst_case_sigma(
     require_moderate(plant)
     _require_memory(plant, family, late)
     limit = Budget(seconds)
-    result, own = _of_rows(plant, family, late, tolerance, seconds, generator, progress)
+    bracketed = partial(_bracketed, late=late, rtol=tolerance, rng=generator, progress=progress)
+    result, own = _of_rows(plant, family, seconds, bracketed)
     left = limit.left
     if rigorous:
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
@@ -321,7 +322,8 @@ def worst_case_sigma(
 
 def _least(plant: Plant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
-    return _of_rows(plant, family, late, rtol, seconds, checks.generator(0), None)[0].lower
+    bracketed = partial(_bracketed, late=late, rtol=rtol, rng=checks.generator(0), progress=None)
+    return _of_rows(plant, family, seconds, bracketed)[0].lower
 
 
 def deviations_of_family(
@@ -376,19 +378,14 @@ def _require_memory(plant: Plant, family: SpacedWindows, late: TimingTolerance) 
 
 
 def _of_rows(
-    plant: Plant,
-    family: SpacedWindows,
-    late: TimingTolerance,
-    rtol: float,
-    seconds: float,
-    rng: np.random.Generator,
-    progress: Progress | None,
-) -> tuple[WorstCaseSigma, Plant]:
+    plant: Plant, family: SpacedWindows, seconds: float,
+    bracketed: Callable[[Plant, SpacedWindows, float, int], tuple[WorstCaseSigma, Array]],
+) -> tuple[WorstCaseSigma, Plant]:  # fmt: skip
     """The record, and the plant in its own coordinates; states beside rows count as little as its witness asks."""
     limit, inner, found = Budget(seconds), within_periods(plant, family), list[tuple[WorstCaseSigma, Plant]]()
     for _ in range(MOST_WIDER):
         own = plant.scaled() if plant.has_scales else plant
-        record, shares = _bracketed(own, inner, late, rtol, limit.left, rng, progress, rows_counted(plant))
+        record, shares = bracketed(own, inner, limit.left, rows_counted(plant))
         found.append((record, own))
         wider = wider_beside(plant, shares)
         if record.status not in ("rounding", "units") or wider is None or limit.over:
@@ -398,15 +395,9 @@ def _of_rows(
 
 
 def _bracketed(
-    plant: Plant,
-    family: SpacedWindows,
-    late: TimingTolerance,
-    rtol: float,
-    seconds: float,
-    rng: np.random.Generator,
-    progress: Progress | None,
-    counted: int,
-) -> tuple[WorstCaseSigma, Array]:
+    plant: Plant, family: SpacedWindows, seconds: float, counted: int, *, late: TimingTolerance, rtol: float,
+    rng: np.random.Generator, progress: Progress | None,
+) -> tuple[WorstCaseSigma, Array]:  # fmt: skip
     """The record for one plant in its own coordinates, and what its witness leaves of each state (`least_observed`).
 
     Where rounding keeps it open, it is proven for states z, x = D z, that are balanced as far as their units are more

@@ -109,6 +109,23 @@ def test_every_schedule_is_below_its_mean_and_that_below_the_bound(number):
     assert least <= np.sqrt(mean_after_samples(A, C, drawn[1], period, window, part.starts, part.weights))
 
 
+GROWING = (np.array([[0.4, 1.3], [-1.3, 0.2]]), np.array([[1.0, 0.3]]))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+@pytest.mark.parametrize(("window", "period"), [(3.0, 4.0), (4.0, 4.0), (6.0, 3.0)])
+def test_what_closes_just_after_a_sample_hides_no_window(window, period, late):
+    rng = np.random.default_rng(0)
+    times = random_schedule(rng, period, 0.4, 4)
+    alone = window_sigma_scan(*GROWING, times, period, window, places=0, late=late)
+    assert alone > 0.01
+    for closes in times + period * np.array([[1e-13], [2.5e-10], [1e-9], [3e-9]]):
+        for each in closes:
+            hours = np.array([[each, each + 0.3]])
+            problem = replace(posed(GROWING, window, period, 4, 0.4, late), forbidden=hours)
+            assert reached(problem, times) == pytest.approx(alone, rel=1e-9)
+
+
 @cache
 def four_outputs():
     plant, requirement = PROBLEMS["20 of 40 states, 4 outputs"]

@@ -183,23 +183,21 @@ def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) ->
 
 
 def sigma_of_moved(problem: DesignProblem, times: Array, mask: Mask) -> float:
-    """Least sigma of the windows beside samples at `times` when each is early, late or on time as a bound moves it.
+    """Least sigma of windows just before and after samples at `times`, each early, late or on time as a bound moves it.
 
     Each goes where the state that is seen least is seen least, again and again: real times that are possible, so that
     no more than this is true of the schedule.
     """
-    rows, beside = problem.rows, np.concatenate([times, times - JUST_BESIDE * problem.period])
-    starts = problem.on_closings(np.concatenate([beside, beside - problem.window]), 2 * JUST_BESIDE * problem.period)
-    closed = problem.closes(starts)[:, None]
-    r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, closed)
-    c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
-    c = c.reshape(starts.size, -1, *c.shape[-2:])
-    sigma2, z = rows.least(squares(c.reshape(starts.size, -1, c.shape[-1])))
+    rows, starts = problem.rows, np.concatenate([times, times - problem.window])[:, None]
+    r, inside = lags(times, starts, problem.window, problem.period, np.array([[[True]], [[False]]]))
+    c = rows.rows(r) * (inside[..., None] & mask[:, None, :])[..., None]
+    c = c.reshape(2 * starts.size, -1, *c.shape[-2:])
+    sigma2, z = rows.least(squares(c.reshape(len(c), -1, c.shape[-1])))
     worst = sigma2.min()
     for _ in range(_MOVED if len(problem.moves) > 1 else 0):
         observed = c @ (problem.moves @ z.T).transpose(0, 2, 1)[:, :, None, :, None]
         least = problem.moves[np.argmin(np.sum(observed**2, axis=(3, 4)), axis=0)]
-        sigma2, z = rows.least(squares((c @ least).reshape(starts.size, -1, c.shape[-1])))
+        sigma2, z = rows.least(squares((c @ least).reshape(len(c), -1, c.shape[-1])))
         worst = min(worst, sigma2.min())
     return float(np.sqrt(max(worst, 0.0)))
 

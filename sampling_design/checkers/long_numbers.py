@@ -42,7 +42,26 @@ def doubles(x: Array) -> Array:
 
 
 def long_flow(a: Array, h: Fraction) -> tuple[Array, float]:
-    """e^{ah} for a matrix of doubles, and what one of its entries is off by at most.
+    """e^{ah} for a matrix of doubles, and what one of its entries is off by at most."""
+    return long_flows(a, h)[-1]
+
+
+def largest_flow(a: Array, h: Fraction) -> Array:
+    """What the entries of |e^{as}| are at most for 0 <= s <= h: up to 2t they are |e^{at}| times those up to t."""
+    doubled = long_flows(a, h)
+    M = np.abs(a) * float(h / 2 ** (len(doubled) - 1))
+    most = term = np.eye(len(a))
+    for k in range(1, TERMS):
+        term = term @ M / k
+        most = most + term
+    most = most * LOOSE + UNIT
+    for S, off in doubled[:-1]:
+        most = np.maximum(most, (np.abs(doubles(S)) + off) @ most * LOOSE)
+    return most
+
+
+def long_flows(a: Array, h: Fraction) -> list[tuple[Array, float]]:
+    """The same for h/2^k, ..., h/2, h.
 
     A series at h/2^k, then k squarings: where S is off by D, S^2 is by (2|S| + 3|D|)|D| in the norm of row sums.
     """
@@ -56,12 +75,12 @@ def long_flow(a: Array, h: Fraction) -> tuple[Array, float]:
         total = total + term
     # each term is off by less than n + 3 cuts: n of M, its own two, and what the one before is off, times |M|;
     # a row of the sum has n entries, and the rest of the series is less than one cut
-    off = 5.0 * n * n * TERMS * UNIT
+    found = [(total, 5.0 * n * n * TERMS * UNIT)]
     for _ in range(halvings):
-        S = norm(doubles(total)) * LOOSE
-        off = ((2 * S + 3 * off) * off + n * UNIT) * LOOSE
+        S, off = norm(doubles(total)) * LOOSE, found[-1][1]
         total = product(total, total)
-    return total, off
+        found.append((total, ((2 * S + 3 * off) * off + n * UNIT) * LOOSE))
+    return found
 
 
 def norm(a: Array) -> float:

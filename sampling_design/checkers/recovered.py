@@ -9,12 +9,17 @@ Costates at readings are integers (`long_numbers`): over many gaps doubles would
 Every other number is kept with a bound of its error, and integrals of norms lie between panels' chords: |p| is below
 its chord plus (s - a)(b - s)/2 sup|p''|; where that shows that p keeps its sign, int |p| = |int p|.
 
+Over many gaps that bound must not grow as products of |e^{A'h}| do: what a step is off by is carried back by one flow,
+e^{A's}, whose largest entries are known for all s of the record.
+
 Nothing is known of a start without a root: then g(s) must be 0. Gains near those of the file make it so; by how much
-more they may cost is added. A state that drives neither a wanted row nor a reading has g = 0 whatever the gains. What
-is read as a mean is a row of a longer state: x and its integral, 0 at `since`.
+more they may cost is added; those of the first readings will do, or more of them where they do not. A state that drives
+neither a wanted row nor a reading has g = 0 whatever the gains. What is read as a mean is a row of a longer state: x
+and its integral, 0 at `since`.
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -22,7 +27,7 @@ from itertools import pairwise
 import numpy as np
 
 from .interval_file import INTERVAL, OfInterval, of_interval
-from .long_numbers import UNIT, doubles, long, long_flow, product
+from .long_numbers import UNIT, doubles, largest_flow, long, long_flow, product
 from .numbers import EPS, safe
 from .outcome import Refused, Undecided, Verdict, WorkLimit, holds
 from .parts import Claim
@@ -33,6 +38,7 @@ LEAST_PANELS = 64  # of one gap
 TERMS = 14  # of e^M, |M| <= 1/128: the rest is below 1e-36
 MOST_PANELS = 2**14  # of one gap
 MOST_HELD = 2_000_000  # numbers of one array of costates: more questions are worked out one part after the other
+FIRST, MORE = 4, 8  # readings for each state with which an open start is tried to be closed; then so many times more
 KEPT = 5  # times as many are kept of gaps that may come again
 LONG = 2  # microseconds of a product of rationals
 STEPS = 30  # microseconds of a flow in integers, over the cube of its size
@@ -48,8 +54,9 @@ PLAYS = (1e-5, 1e-8, 0.0)
 class Columns:
     """Costates (N, k), a bound of their errors, and what their functionals come to; one column for each question."""
 
+    most: Array  # (N, N), of |e^{A's}|
     long: Array  # integers
-    off: Array
+    lost: Array  # the errors of all steps so far, each where it was made
     exact: Array  # sum lambda y + g'centre + int g'(Bu + G centre)
     doubt: Array  # of it
     disturbance: Array  # int |w_root'G'g| at most
@@ -62,14 +69,31 @@ class Columns:
         return doubles(self.long)
 
     @property
+    def off(self) -> Array:
+        """Bounds of the errors of the integers."""
+        return self.most @ self.lost * LOOSE
+
+    @property
     def wrong(self) -> Array:
-        """Bounds of their errors."""
+        """Bounds of the errors of the doubles."""
         return (self.off + EPS * np.abs(self.g)) * LOOSE
 
 
 def prove(c: OfInterval, work: WorkLimit | None = None) -> Verdict:
     """Prove every end (or the contradiction); the slack is relative to the width."""
     backward = BackwardRecursion(c, WorkLimit(math.inf) if work is None else work)
+    every = c.gains.shape[2]
+    while True:
+        try:
+            return proven(c, backward)
+        except Undecided:
+            if backward.singles in (0, every):
+                raise
+            backward.singles = min(MORE * backward.singles, every)
+
+
+def proven(c: OfInterval, backward: "BackwardRecursion") -> Verdict:
+    """The same with so many readings to close an open start."""
     if c.factors is not None:
         return holds(INEQUALITY, contradiction(c, backward), SUBJECT)
     targets = np.array([sign * row for row in c.rows for sign in (1.0, -1.0)])
@@ -107,13 +131,14 @@ def contradiction(c: OfInterval, backward: "BackwardRecursion") -> float:
         grown = {"all": start + w + v, "w": w, "v": v}[name]
         if not np.isfinite(fixed + grown + readings):
             raise Undecided(INEQUALITY, f"the factor of {name} could not be decided: its start is not closed")
-        needed = -readings - fixed
+        needed, doubt = -readings - fixed, found.ends()[0][k] - found.least[k]
         most = (
             stated * grown * LOOSE if grown > 0 and stated > 0 else 0.0
         )  # where the bound is 0, any factor leaves it so
         if stated > 0 and not (needed > 0 and needed >= most):  # what is not above 0 contradicts nothing
             sentence = f"the gains do not prove that {name} must grow by the factor {stated:.6g}"
-            raise (Refused if needed < most * 0.99 else Undecided)(INEQUALITY, sentence)
+            refused = needed + doubt < 0.99 * (most - stated * doubt)
+            raise (Refused if refused else Undecided)(INEQUALITY, sentence)
         if name == "all" and not stated > 1:
             raise Refused(INEQUALITY, "a factor of at most 1 is no contradiction")
         slack = min(slack, float(needed / most) - 1 if most > 0 else 1.0)
@@ -144,6 +169,17 @@ class BackwardRecursion:
         means = dict.fromkeys(one.row.tobytes() for some in c.readings for one in some if one.since is not None)
         self.means = list(means)
         size = n + len(self.means)
+        self.singles = min(FIRST * n, c.gains.shape[2]) if c.root is None else 0
+        self.changes = [t for t, _ in c.inputs]
+        rows = [(k, one) for k, some in enumerate(c.readings) for one in some]
+        kinds = [(k, one.row.tobytes(), one.since, one.below) for k, one in rows]
+        first = {kind: j for j, kind in reversed(list(enumerate(kinds)))}
+        # a row that was read twice at one time shows no more of the start
+        self.order = np.array(sorted(range(len(kinds)), key=lambda j: first[kinds[j]] != j), dtype=np.intp)
+        self.begin: dict[float, list[int]] = {}  # integrals that are 0 at a time
+        for _, one in rows:
+            if one.since is not None:
+                self.begin.setdefault(one.since, []).append(n + self.means.index(one.row.tobytes()))
         self.d = np.exp2(np.round(np.log2(c.scales)))
         A = np.zeros((size, size))
         A[:n, :n] = c.plant.A
@@ -157,24 +193,26 @@ class BackwardRecursion:
         self.wrong_G = np.zeros_like(self.G)
         self.wrong_G[:n] = lost / self.d[:n, None]
         self.known: dict[Fraction, tuple[Array, Array, Array, Array, Array, float]] = {}
+        self.held = 0  # numbers of these
         self.size = float(np.linalg.norm(self.A, 2)) * LOOSE
         root = np.zeros(0) if c.root is None else c.root / self.d[:n, None]
         # what underflows in units that a file states would be lost: nothing may
-        rows = [c.rows, *(one.row for some in c.readings for one in some)]
-        safe(self.d, c.plant.A, G, *rows)
-        safe(self.A, self.G, root, *(row * self.d[:n] for row in rows))
+        every = [c.rows, *(one.row for _, one in rows)]
+        safe(self.d, c.plant.A, G, *every)
+        safe(self.A, self.G, root, *(row * self.d[:n] for row in every))
 
     def run(self, targets: Array, gains: Array) -> RowBound:
-        """What gains (k, R) for targets (k, n) come to; a column of its own for each row where the start is open."""
-        c, n, count = self.c, self.c.plant.n, len(targets)
-        R = gains.shape[1]
-        extra = R if c.root is None else 0
-        g, zero = np.zeros((len(self.A), count + extra)), np.zeros(count + extra)
+        """What gains (k, R) for targets (k, n) come to; a column each for the first rows where the start is open."""
+        c, n, count, at = self.c, self.c.plant.n, *gains.shape
+        g, zero = np.zeros((len(self.A), count + self.singles)), np.zeros(count + self.singles)
         g[:n, :count] = (targets * self.d[:n]).T
-        columns = Columns(*long(g), *(zero.copy() for _ in range(5)))
+        most = np.eye(len(self.A))
+        self.spend(STEPS * n**3)
+        most[:n, :n] = largest_flow(self.A[:n, :n].T, Fraction(c.t) - Fraction(c.times[0]))
+        columns = Columns(most, *long(g), *(zero.copy() for _ in range(5)))
         self.touched = self.driving(np.any(g != 0, axis=1))
-        every = np.vstack([gains, -np.eye(R)[:extra]])
-        at = R
+        every = np.vstack([gains, np.zeros((self.singles, at))])
+        every[range(count, len(every)), self.order[: self.singles]] = -1.0
         self.fly(columns, c.times[-1], c.t)
         for k in range(len(c.times) - 1, -1, -1):
             at -= len(c.readings[k])
@@ -195,13 +233,13 @@ class BackwardRecursion:
             else:
                 place = n + self.means.index(one.row.tobytes())
                 row[place] = Fraction(float(self.d[place])) / (Fraction(c.times[k]) - Fraction(one.since))
-            if one.below and np.any(gain[: self.questions(gain)] < 0):
+            if one.below and np.any(gain[: gain.size - self.singles] < 0):
                 raise Refused(INEQUALITY, f"a gain of a one-sided reading at {c.times[k]:.9g} is negative")
             some = np.flatnonzero(gain)
             self.spend(LONG * some.size * len(row))
             taken, cut = long([[share * x for x in map(Fraction, gain[some].tolist())] for share in row])
             columns.long[:, some] -= taken
-            columns.off[:, some] += cut
+            columns.lost[:, some] += cut
             columns.exact += gain * one.y
             columns.doubt += 2 * EPS * (np.abs(gain * one.y) + np.abs(columns.exact))
             if one.below or not c.together:
@@ -225,25 +263,18 @@ class BackwardRecursion:
             found = more
         return found
 
-    def questions(self, gain: Array) -> int:
-        """How many of the columns are questions, the others being single rows."""
-        return len(gain) - (self.c.gains.shape[2] if self.c.root is None else 0)
-
     def reset(self, columns: Columns, k: int) -> None:
         """Integrals that begin at a time are 0 there."""
-        for some in self.c.readings:
-            for one in some:
-                if one.since is not None and one.since == self.c.times[k]:
-                    place = self.c.plant.n + self.means.index(one.row.tobytes())
-                    columns.long[place], columns.off[place] = 0, 0.0
+        for place in self.begin.get(self.c.times[k], []):
+            columns.long[place], columns.lost[place] = 0, 0.0
 
     def fly(self, columns: Columns, a: float, b: float) -> None:
         """From b back to a, piece by piece of the input."""
-        c = self.c
-        edges = [a, *(t for t, _ in c.inputs if a < t < b), b]
+        edges = [a, *self.changes[bisect_right(self.changes, a) : bisect_left(self.changes, b)], b]
         for left, right in reversed(list(pairwise(edges))):
             if right > left:
-                u = next((u for t, u in reversed(c.inputs) if t <= left), np.zeros(c.plant.B.shape[1]))
+                last = bisect_right(self.changes, left) - 1
+                u = self.c.inputs[last][1] if last >= 0 else np.zeros(self.c.plant.B.shape[1])
                 self.piece(columns, Fraction(right) - Fraction(left), u)
 
     def piece(self, columns: Columns, length: Fraction, u: Array) -> None:
@@ -252,17 +283,21 @@ class BackwardRecursion:
         panels = 2 ** math.ceil(math.log2(max(self.size * h / PANEL, LEAST_PANELS)))
         if panels > MOST_PANELS:
             raise Undecided(INEQUALITY, f"a gap of {h:.6g} is too long for this check")
-        self.spend(panels * columns.off.size * len(self.A) / 50 + STEPS * len(self.A) ** 3)
+        self.spend(panels * columns.lost.size * len(self.A) / 50 + STEPS * len(self.A) ** 3)
         d = h / panels
         if length not in self.known:
-            if sum(found[0].size for found in self.known.values()) > KEPT * MOST_HELD:
-                self.known.clear()
+            held = 2 * (panels + 1) * self.A.size
+            if self.held + held > KEPT * MOST_HELD:
+                self.known, self.held = {}, 0
+            self.held += held
             self.known[length] = *flows(self.A.T, d, panels), *long_flow(self.A.T, length)
         E, wrong_E, mean, wrong_mean, whole, wrong_whole = self.known[length]
-        g, wrong = columns.g, columns.wrong
-        carried = np.abs(doubles(whole)) @ columns.off + wrong_whole * (np.abs(g) + columns.off).sum(axis=0)
-        some = (columns.long != 0).any(axis=0) | columns.off.any(axis=0)  # nothing at all stays nothing
-        columns.long, columns.off = product(whole, columns.long), (carried + UNIT * some) * LOOSE
+        g, wrong, n = columns.g, columns.wrong, self.c.plant.n
+        brought = np.abs(doubles(whole))
+        brought[:n, :n] = np.eye(n)  # what `most` carries
+        lost = brought @ columns.lost + wrong_whole * (np.abs(g) + columns.off).sum(axis=0)
+        some = (columns.long != 0).any(axis=0) | columns.lost.any(axis=0)  # nothing at all stays nothing
+        columns.long, columns.lost = product(whole, columns.long), (lost + UNIT * some) * LOOSE
         for first in range(0, g.shape[1], step := max(1, MOST_HELD // E[:, 0].size)):
             part = slice(first, first + step)
             path = E @ g[:, part]
@@ -355,6 +390,7 @@ class BackwardRecursion:
         if not size.any():
             return self.found(columns, readings, doubt, more)
         below = np.array([one.below for some in self.c.readings for one in some], dtype=bool)
+        below, gains = below[self.order[: self.singles]], gains[:, self.order[: self.singles]]
         # in units of what a row costs, so that the change is a cheap one
         price = np.abs(readings[count:]) + doubt[count:] + columns.disturbance[count:] + columns.noise[count:]
         spent, todo = gains * price, np.ones(count, dtype=bool)

@@ -16,7 +16,7 @@ import sampling_design as sd
 from sampling_design.accuracy.interval import Interval, state_interval
 from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
 from sampling_design.checkers import check, claims, recovered
-from sampling_design.checkers.long_numbers import BITS, doubles, long, long_flow
+from sampling_design.checkers.long_numbers import BITS, doubles, largest_flow, long, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import from_json
@@ -436,6 +436,14 @@ def test_a_flow_in_integers_is_as_exact_as_it_says():
     assert np.isinf(doubles(np.array([2**2000], dtype=object))).all()
 
 
+@pytest.mark.parametrize("a", [[[0.0, 5.0], [-5.0, -0.1]], [[-40.0, 7.0], [0.0, -0.1]], [[0.0, 3.0], [0.0, 0.0]]])
+def test_no_flow_of_a_record_is_larger_than_what_carries_its_rounding(a):
+    most, a = largest_flow(np.array(a), Fraction(200)), np.array(a)
+    every = np.max([np.abs(transition(a, s)) for s in (*np.linspace(0, 2, 201), *np.linspace(2, 200, 200))], axis=0)
+    assert np.all(every <= most)
+    assert np.all(most <= 2**6 * every + 1e-60)  # a turn costs a root of two for each of few doublings
+
+
 def main(runs: int) -> None:
     """Prove intervals of so many adversarial runs and say how many are decided."""
     from tests.laws.test_interval_of_the_data_always_holds_the_truth import CASES
@@ -459,6 +467,50 @@ def test_a_start_that_nothing_closes_decides_no_factor():
     c = SimpleNamespace(factors={"all": (2.0, np.zeros(1))}, plant=SimpleNamespace(n=1))
     with pytest.raises(Undecided, match="the factor of all could not be decided: its start is not closed"):
         recovered.contradiction(c, SimpleNamespace(run=lambda *given: said))
+
+
+@pytest.mark.parametrize("doubt", [0.0, 3.0])
+def test_what_rounding_hides_refutes_no_factor(doubt):
+    """A gain proves a factor of 2 up to its rounding: where that is large, not that 2.1 is wrong."""
+    said = recovered.RowBound(*(np.array([x]) for x in (-2.0, -1.0 - doubt, 0.0, 1.0, 0.0)))
+    c = SimpleNamespace(factors={"all": (2.1, np.zeros(1))}, plant=SimpleNamespace(n=1))
+    with pytest.raises(
+        Undecided if doubt else Refused, match="the gains do not prove that all must grow by the factor"
+    ):
+        recovered.contradiction(c, SimpleNamespace(run=lambda *given: said))
+
+
+@pytest.mark.parametrize("start", few([None, 3.0], 0))
+def test_a_long_record_is_proven_as_a_short_one(start):
+    """An eighth of a turn a gap: products of |e^{A'h}| double every second time, and 2^320 was lost after 640."""
+    turning, rng = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), np.random.default_rng(0)
+    record = [(k * np.pi / 4, [np.cos(k * np.pi / 4) + rng.uniform(-0.1, 0.1)], None) for k in range(700)]
+    found = state_interval(turning, record, initial_error=start, of="x1", **GIVEN)
+    data = json.loads(json.dumps(found._sealed()))
+    assert check(data)["verdict"] == "proven"
+    forged_end(data)
+    assert check(with_digest(data))["verdict"] == "refuted"
+
+
+def test_a_check_does_twice_as_much_for_twice_the_readings():
+    """Where nothing was known of the start, each reading had a costate of its own: the square of their number."""
+    spent = []
+    for rows in (30, 60):
+        record = [(0.7 * k, [np.cos(0.7 * k)], None) for k in range(rows)]
+        work = recovered.WorkLimit(1e12)
+        data = state_interval(SPRING, record, of="x1", **GIVEN)._sealed()
+        assert recovered.prove(claims.certificate(data), work).passed
+        spent.append(1e12 - work.left)
+    assert spent[1] <= 2.1 * spent[0]
+
+
+def test_a_start_is_closed_by_later_readings_where_the_first_do_not_show_it():
+    """The second output comes after many of the first, which show nothing of its state."""
+    two = sd.Plant(np.diag([-0.1, -0.2]), np.eye(2))
+    record = [(float(k), [1.0, np.nan], None) for k in range(3 * recovered.FIRST)] + [(40.0, [np.nan, 0.1], None)]
+    found = state_interval(two, record, w_bound=0.1, v_bound=0.3)
+    assert np.isfinite(found.radii).all()
+    assert found.verify(rigorous=True)
 
 
 def test_a_file_of_many_rows_over_a_long_gap_needs_little_memory_and_time(monkeypatch):

@@ -38,6 +38,7 @@ from sampling_design.estimators.online.verdict import (
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import BandCache, InitialNode
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records import checks
@@ -45,6 +46,10 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
 LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
+
+DRIFT = 4.0
+"""Times what the truth may cost: up to there the cost of a reference does not show in the margin of the dual bound, so
+that radii are the same whatever the references are. From that cost itself on, nodes to come take their estimates."""
 
 
 class WindowStart(NamedTuple):
@@ -322,9 +327,11 @@ class WindowedEstimator(OnlineEstimator):
                     return None
         terms = scaled_bound(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.size) + optimum.energy
-        verdict = judged(self.weights, terms, optimum.dual, nodes[-1])
+        dual = optimum.cost - DUAL_MARGIN * max(optimum.above, DRIFT * terms)
+        verdict = judged(self.weights, terms, dual, nodes[-1])
         if verdict.status == "bounds disproved" and nodes[-1].stands:
             return None
+        sliding.cancelling |= verdict.sound and optimum.above > terms
         return SolvedSample(optimum.x, optimum.Y, verdict, "banded", "", optimum.cost, optimum.precision)
 
     def _judged(

@@ -450,6 +450,26 @@ def test_repeated_samples_that_agree_are_taken_once():
     assert mhe.update(1.0, [0.1, np.nan]) is first
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (2, 1), (4, 2)])
+def test_an_estimate_is_the_same_whatever_is_remembered_of_its_window(rows, columns):
+    """Another estimator that goes on from the same state begins its window anew, from other references."""
+    rng = np.random.default_rng(rows)
+    A = np.kron(np.eye(max(rows // 2, 1)), [[0.0, 1.0], [-1.0, -0.05]])[:rows, :rows] - 0.1 * np.eye(rows)
+    plant = Plant(A, np.eye(rows)[:columns] + np.ones((columns, rows)))
+    options = {"horizon": 8.0, "cost": CostFunction(eta=0.2), **BOUNDS, "initial_error": 3.0}
+    mhe, t, x = MovingHorizonEstimator(plant, **options), 0.0, np.ones(rows)
+    for _ in range(40):
+        gap = rng.choice([1.0, rng.uniform(0.5, 1.5)])
+        t, x = t + gap, plant.transition(gap) @ x + rng.uniform(-0.01, 0.01, rows)
+        sample = (t, plant.C @ x + rng.uniform(-0.05, 0.05, columns), None)
+        other = MovingHorizonEstimator(plant, **options).step(mhe.state, sample)[1]
+        found = mhe.update(*sample)
+        assert found.certified
+        np.testing.assert_allclose(other.x, found.x, rtol=1e-13, atol=1e-13)
+        np.testing.assert_allclose(other.radius, found.radius, rtol=1e-13)
+        np.testing.assert_allclose(other.cost, found.cost, rtol=1e-12)
+
+
 def test_nothing_is_kept_from_before_the_oldest_snapshot():
     mhe = MovingHorizonEstimator(PLANT, horizon=2.0)
     for t in range(1, 12):

@@ -22,7 +22,6 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, lower
 from sampling_design.estimators.online.history import HistoryNode, IncomingNode
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, CovariancePrecision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
-from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.records.arrays import Array
 
@@ -37,10 +36,10 @@ _substituted = blas.dtbsv
 ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
 CANCELLED = 1e-4  # share of the reference's cost below which the optimum becomes the reference, at two updates' price
 
-SETTLED = 1.0
-"""Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes
-to come take their estimates for references: nearer to the optimum than what was predicted for them, at a twentieth of
-an update each. A lower share would show in the dual bound, whose margin counts what is gained."""
+SETTLED = 0.01
+"""Share of what the optimum gains on its reference below which the least cost is found with two digits fewer, so that
+nodes to come take their estimates for references: nearer to the optimum than what was predicted for them, at a
+twentieth of an update each."""
 
 FAR_OFF = 1e12
 """Sum of the squares of references and readings, in units of their weights, over the least cost, from which on rounding
@@ -106,16 +105,16 @@ class OptimalTrajectory(NamedTuple):
 
 
 class WindowOptimum(NamedTuple):
-    """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and data's squares.
+    """State, covariance Y and its precision at the newest node; cost; noise and data's squares.
 
-    `path` is the whole of it, where that was asked for.
+    `above` is the cost of the reference, `path` the whole optimum, where that was asked for.
     """
 
     x: Array
     Y: Array
     precision: CovariancePrecision
     cost: float
-    dual: float
+    above: float
     energy: float
     size: float
     path: OptimalTrajectory | None = None
@@ -126,6 +125,7 @@ class SlidingBand:
 
     Unknown is the deviation from a reference: what was predicted for a node from the estimate before it; where costs
     cancel, what was estimated for it (`SETTLED`, and where a history is begun anew) or the optimum (`CANCELLED`).
+    While `cancelling`, nodes to come take what was estimated.
     """
 
     def __init__(self, table: FlowTable, energy: Callable[[Array], float]):
@@ -141,7 +141,7 @@ class SlidingBand:
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
         self._outputs: list[OutputInformation] = []  # what a node's outputs mean
         self._data: list[Array] = []  # y, reference and D u, one after the other
-        self._zero, self._cancelling, self._untouched = 0.0, False, False
+        self._zero, self.cancelling, self._untouched = 0.0, False, False
         self._banded = self._listed = 0  # so many nodes have their columns; so many have their rows in `_measured`
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
         # of so many nodes, and what they came with
@@ -256,7 +256,7 @@ class SlidingBand:
     def settle(self, node: HistoryNode) -> bool:
         """Take in what was estimated for the newest node; False where that cannot be weighed."""
         self.nodes.append(node)
-        return not self._cancelling or self._moved_to(len(self._known) - 1, [node.x])
+        return not self.cancelling or self._moved_to(len(self._known) - 1, [node.x])
 
     def _moved_to(self, first: int, states: Sequence[Array]) -> bool:
         """Take states of the nodes from number `first` on for their references; False where these cannot be weighed."""
@@ -375,16 +375,15 @@ class SlidingBand:
             return None
         cost -= gain
         far = not cost * FAR_OFF > size * end
-        self._cancelling = far or not cost > SETTLED * gain
+        self.cancelling = far or not cost > SETTLED * gain
         if not cost > CANCELLED * gain or (far and again):
             away = gains.applied(right, end, True)[0].reshape(-1, self._n)
             if again or not self._moved_to(first, list(np.array(self._reference[first:]) + away)):
                 return None
             return self.solve(first, initial, gap, whole, gains)
-        dual = cost - DUAL_MARGIN * (cost + abs(gain))
         path = self._path(first, x, Y, moved, deviation, flow) if whole else None
         newest, energy = self._reference[-1] + deviation[-self._n :], (energy + noise) / end
-        return WindowOptimum(newest, gains.Y, gains.precision, cost / end, dual / end, energy, size, path)
+        return WindowOptimum(newest, gains.Y, gains.precision, cost / end, (cost + gain) / end, energy, size, path)
 
     def _path(self, first: int, x: Array, Y: Array, moved: Array, deviation: Array, flow: GapFlow) -> OptimalTrajectory:
         """Return the optimum at all nodes, the window's start before them.

@@ -12,7 +12,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, strong
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, covariance_root
+from sampling_design.numerics.filtering import CovarianceMap, carried, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
@@ -201,6 +201,7 @@ class _DeviationCurves:
         G = plant.G / self.D[:, None]
         self._noise = symmetrise(G @ W @ G.T)
         rows = [plant.C[s.outputs] * self.D / s.size[:, None] for s in system.samples]
+        self._exact = [s.exact for s in system.samples]  # their size is for coordinates alone
         self._roots = self._endless(rows) if question.initial is None else self._finite(rows)
 
     def _flows(self, lengths: Array) -> list[tuple[Array, Array]]:
@@ -224,6 +225,10 @@ class _DeviationCurves:
         except np.linalg.LinAlgError:  # as where accuracies are doubled
             followed = False
         roots = rooted(root)[0] if followed else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
+        if any(own.any() for own in self._exact):
+            root = carried(roots[-1], rooted.F[-1], rooted.noise[-1])
+            for _ in range(r):  # each period shows one direction more of what no noise reaches, or none is left
+                roots, root = rooted.exactly(root, self._exact)
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
 
     def _finite(self, rows: list[Array]) -> list[Array]:
@@ -239,7 +244,7 @@ class _DeviationCurves:
             before, roots = self._sizes(roots), path(start * size)[0]
             settled = np.allclose(self._sizes(roots), before, rtol=SETTLED, atol=0.0)
             if settled and (not free or np.all(free[1] > free[0] * WIDEST[1] / WIDEST[0] / 2)):
-                return roots
+                return path.exactly(start * size, self._exact)[0]
         raise UndecidedError(
             "undecided: the samples show some state so weakly that doubles cannot tell it from what was "
             "assumed at the start. Give a shorter schedule."

@@ -6,7 +6,7 @@ Every map is three matrices (F, G, Q), G and Q positive semidefinite; two of the
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -19,12 +19,13 @@ from sampling_design.numerics.filtering import (
     CovarianceMap,
     carried,
     covariance_root,
+    exact_update,
     information_update,
     largest_first,
     root_update,
 )
 from sampling_design.numerics.linalg import psd_root
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Mask
 
 COARSER = (1e-5, 1e-4, 1e-3, 1e-2)
 """Noise that the filter takes a sensor to have at least, in units of what w does to a period's outputs, until its
@@ -109,6 +110,18 @@ class RootedPeriod:
             after.append(root)
             root = carried(root, F, noise)
         return after, root, error
+
+    def exactly(self, root: Array, exact: Sequence[Mask]) -> tuple[list[Array], Array]:
+        """Return roots after each sample, and that at the period's end, where `exact` sensors have no noise at all."""
+        after = []
+        for F, H, noise, own in zip(self.F, self.rows, self.noise, exact, strict=True):
+            if not own.all():
+                root = root_update(largest_first(root), H[~own], np.zeros((np.count_nonzero(~own), 1)))[0]
+            for row in H[own]:
+                root = exact_update(root, row)
+            after.append(root)
+            root = carried(root, F, noise)
+        return after, root
 
     def walking(self, noise: Array) -> RootedPeriod:
         """The period with this noise, a root, joining at its end."""

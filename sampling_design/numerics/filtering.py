@@ -119,6 +119,19 @@ def root_update(root: Array, rows: Array, innovation: Array) -> tuple[Array, Arr
     return known * _triangle(*known.shape), R[:p, p:].T.dot(half), half
 
 
+def exact_update(root: Array, row: Array) -> Array:
+    """Return a covariance's root (n, m) after a sensor without noise has read one row: what it shows is a column less.
+
+    A row of which the root holds nothing but rounding is known already.
+    """
+    root = largest_first(root)
+    shown = row @ root
+    if np.linalg.norm(shown) <= len(row) * EPS * (np.abs(row) @ np.linalg.norm(root, axis=1)):
+        return root
+    R = np.linalg.qr(np.column_stack([shown, root.T]), mode="r")
+    return np.asarray(R[1:, 1:].T, dtype=np.float64)
+
+
 @lru_cache(maxsize=64)
 def _triangle(n: int, m: int) -> Array:
     return np.tri(n, m)

@@ -12,6 +12,7 @@ from sampling_design.accuracy import deviation, riccati, sampled_system
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.riccati import RootedPeriod
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
+from tests.oracles.families import flow
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], states=["position", "velocity"])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9])
@@ -58,6 +59,37 @@ def test_an_unstable_mode_that_no_noise_reaches_is_still_followed():
     plant = sd.Plant([[0.5]], [[1.0]], G=[[0.0]])
     found = sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=1.0, v_deviation=2.0)
     assert found.worst[0] ** 2 == pytest.approx((np.exp(1.0) - 1) * 4.0, rel=1e-5)
+
+
+GROWING, TURNING = np.diag([0.5, 0.4]), np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+@pytest.mark.parametrize("endless", [True, False])
+@pytest.mark.parametrize(
+    ("A", "C", "G", "known"),
+    [
+        (GROWING, np.eye(2), [[0.0], [1.0]], [True, False]),
+        (GROWING, np.eye(2), [[1.0], [1.0]], [False, False]),
+        (TURNING, [[1.0, 0.0], [0.0, 0.0]], [[0.0], [0.0]], [True, True]),
+    ],
+    ids=["beside noise", "of noise", "turning"],
+)
+def test_an_exact_sensor_has_no_noise_of_its_own(A, C, G, known, endless):
+    """Against a plain filter that takes its inverse as it is; what no noise reaches is then known exactly."""
+    gaps, C, G, v = [1.0, 0.6] * 20, np.array(C), np.array(G), np.diag([0.0, 0.3])
+    schedule = sd.PeriodicSchedule([1.0, 0.6]) if endless else sd.Schedule(np.cumsum(gaps))
+    P, reached = 1e2 * np.eye(2), []
+    for h in gaps[1:]:
+        P = P - P @ C.T @ np.linalg.pinv(C @ P @ C.T + v**2, 1e-11, hermitian=True) @ C @ P
+        F, noise = flow(A, G, np.eye(1) / 0.2, 0.0, h)
+        P = F @ P @ F.T + noise
+        reached.append(np.sqrt(np.abs(np.diag(P))))
+    largest = np.max(reached[-4:], axis=0)
+    for unit in (1.0, 1e5):
+        plant, sizes = sd.Plant(A, C * unit, G=G), {"w_intensity": 0.2, "v_deviation": np.diag(v) * unit}
+        found = sd.accuracy.standard_deviation(plant, schedule, of=np.eye(2), **sizes)
+        end = found.profile[:, -65 * 4 :].max(axis=1)
+        assert end == pytest.approx(np.where(known, 0.0, largest), rel=1e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize("beside", [-0.3, -2.0])

@@ -15,7 +15,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.results_out import SAME
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch, RowSearch
-from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
+from sampling_design.accuracy.timing import moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, left_open, strongest_witness
 from sampling_design.errors import UndecidedError
@@ -192,11 +192,11 @@ def answer_of(
     question = asked.primitive()
     known = question.lasting()
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
-    noise = noise_enough(question, known, limit) if question.timing_tolerance and safe else None
-    bounding = question.noisier(noise)
-    search = GainSearch(*bounding.filter_bounds(known.plant, known.moving), budget=limit) if safe else None
-    if search is not None and noise is not None:
-        added(search, question, known, seek=True)
+    noise, search = None, None
+    if safe and question.timing_tolerance:
+        noise, search = noise_enough(question, known, limit)
+    elif safe:
+        search = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=limit)
     found: dict[int, RowSearch] = {}
     if search is not None:
         for done, k in enumerate(safe, 1):

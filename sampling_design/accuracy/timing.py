@@ -85,14 +85,16 @@ def refuse_tolerance(question: AccuracyQuestion, stochastic: bool) -> None:
         )
 
 
-def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budget) -> Array:
-    """Return the noise u (N, p) that stands for the tolerance; 0 where an output is not measured.
+def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budget) -> tuple[Array, GainSearch]:
+    """Return the noise u (N, p) that stands for the tolerance, and the search whose directions prove that it is enough.
+
+    It is 0 where an output is not measured.
 
     Raises UndecidedError if there is none: what a tolerance adds grows faster than itself, or a row that it takes is
     not known.
     """
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
-    kept: tuple[Array, Array] | None = None
+    kept: tuple[Array, GainSearch] | None = None
     least = 0.0
     rushed = 0
     for turn in range(TURNS):
@@ -103,19 +105,19 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
         if not np.isfinite(found).all() or (rushed > RUSHED and not enough):
             break
         if enough:
-            kept = tried, found
+            kept = tried, search
             if np.all(tried <= ENOUGH * found) or budget.over:
-                return tried
+                return kept
             before, tried = tried, found * (1 + (ENOUGH - 1) / 2)
             continue
         if kept is not None and turn:
-            return kept[0]
+            return kept
         least = least or float(found.max(initial=0.0))
         before, tried = tried, extrapolated(before, tried, found) * (2 if rushed else 1 + MORE)
         if np.any(tried > FAR * (least + 1e-300)):
             break
     if kept is not None:
-        return kept[0]
+        return kept
     why = "the error that makes their times matter grows with them. Ask for a smaller `timing_tolerance`."
     if rushed:
         why = "`budget` ended before noise was found that stands for their times. Ask with a larger one."

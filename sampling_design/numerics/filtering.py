@@ -128,8 +128,8 @@ def exact_update(root: Array, row: Array) -> Array:
     shown = row @ root
     if np.linalg.norm(shown) <= len(row) * EPS * (np.abs(row) @ np.linalg.norm(root, axis=1)):
         return root
-    R = np.linalg.qr(np.column_stack([shown, root.T]), mode="r")
-    return np.asarray(R[1:, 1:].T, dtype=np.float64)
+    lower = np.asarray(np.linalg.qr(np.column_stack([shown, root.T]), mode="r"), dtype=np.float64).T
+    return lower[1:, 1:]
 
 
 @lru_cache(maxsize=64)

@@ -20,6 +20,7 @@ from sampling_design.schedules.sensor import Sensor
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
+from tests.counted_clock import Counted
 
 Array = npt.NDArray[np.float64]
 
@@ -397,6 +398,19 @@ def test_noise_that_stands_for_times_is_proven_again_where_filters_remember_long
     """The gains that are kept look as far back as those by which the noise was found to be enough."""
     drifting = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
     found = guaranteed_accuracy(drifting, EVEN, w_bound=1e-3, v_bound=0.1, of="x1", timing_tolerance=1e-3)
+    assert found.verify()
+
+
+@pytest.mark.parametrize("endless", [True, False])
+def test_what_a_spent_budget_leaves_proven_of_late_samples_verifies(endless):
+    """The directions by which noise was found to be enough are in the proof, though rows had little time left."""
+    plant = Plant([[0.2, 1.0, 0.0], [-1.0, 0.1, 0.0], [0.0, 0.3, -0.4]], [[1.0, 0.5, 0.0], [0.2, 0.0, 1.0]])
+    schedule = PeriodicSchedule([0.9, 1.3, 0.7]) if endless else Schedule([1.0, 2.1, 2.9, 4.2])
+    asked = {} if endless else {"initial_error": 0.7, "start": 0.5}
+    with Counted().running():
+        found = guaranteed_accuracy(
+            plant, schedule, w_bound=0.1, v_bound=0.3, timing_tolerance=0.1, budget=1.0, **asked
+        )
     assert found.verify()
 
 

@@ -266,11 +266,9 @@ class _DeviationCurves:
         found = np.sum((propagated @ self._roots[j]) ** 2, axis=1) + np.maximum(
             np.einsum("i,kij,j->k", row * self.D, W, row * self.D), 0
         )
-        mu = propagated @ self._L[j]
-        directions = self._directions[j]
-        if self.question.initial is None:
-            return np.where(np.isfinite(directions.rest(mu, mu)), found, np.inf)
-        return np.where(directions.determines(mu), found, np.inf)
+        if self.question.initial is None:  # of rows that what nobody knows does not touch
+            return found
+        return np.where(self._directions[j].determines(propagated @ self._L[j]), found, np.inf)
 
     def worst(self, parts: list[Array], offsets: list[Array], row: Array) -> tuple[float, float]:
         """The largest standard deviation and its time, refined between the points of the profile."""

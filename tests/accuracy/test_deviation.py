@@ -61,6 +61,29 @@ def test_an_unstable_mode_that_no_noise_reaches_is_still_followed():
     assert found.worst[0] ** 2 == pytest.approx((np.exp(1.0) - 1) * 4.0, rel=1e-5)
 
 
+MIXED = np.array([[0.8, -2.0, 0.3], [1.5, 0.3, -0.4], [0.2, 0.5, 1.1]])
+
+
+@pytest.mark.parametrize("periods", [1, 3])
+@pytest.mark.parametrize("T", [np.eye(3), MIXED], ids=["as given", "other states"])
+def test_growth_over_a_period_hides_no_mode_that_an_output_sees(T, periods):
+    """Neither beside what decays, nor in other coordinates, nor where samples are counted as longer periods."""
+    A = np.array([[0.2, -0.8, 0.0], [-0.3, 1.3, 0.0], [0.0, 0.0, -0.3]])
+    C, gaps, P, reached = np.array([[-0.6, -0.5, 0.7]]), [0.9, 1.4, 1.4, 1.6, 1.2, 1.1], np.eye(3), []
+    for h in [*gaps[1:], gaps[0]] * 9:
+        P = np.linalg.inv(np.linalg.inv(P) + C.T @ C / 0.1**2)
+        F, noise = flow(A, np.eye(3), np.eye(3) / 0.1, 0.0, h)
+        P = F @ P @ F.T + noise
+        reached.append(np.sqrt(P[0, 0]))
+    plant, schedule = sd.Plant(T @ A @ np.linalg.inv(T), C @ np.linalg.inv(T), G=T), sd.PeriodicSchedule(gaps * periods)
+    asked = {"of": np.linalg.inv(T)[:1]}
+    white = sd.accuracy.standard_deviation(plant, schedule, w_intensity=0.1, v_deviation=0.1, **asked)
+    assert white.worst[0] == pytest.approx(max(reached[-6:]), rel=1e-6)
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=0.1, rtol=0.05, **asked)
+    assert not found.unknown
+    assert 0 < found.upper[0] <= 1.05 * found.lower[0]
+
+
 GROWING, TURNING = np.diag([0.5, 0.4]), np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 

@@ -124,7 +124,7 @@ class SigmaBracket(PlainRecord):
     rigorous: bool = field(default=False, kw_only=True)
     beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
-    _good = "sigma at least {_at_least}, {upper} is attained ({coordinates} coordinates, state at the window's start)"
+    _good = "sigma at least {_at_least}, {_attained} ({coordinates} coordinates, state at the window's start)"
     _balls = "`rigorous=True` proves `lower` in ball arithmetic; {at} attains `upper`"
 
     @cached_property
@@ -156,6 +156,11 @@ class SigmaBracket(PlainRecord):
     def _at_least(self) -> str:
         return "0, undecided" if self._is_undecided else below(self.lower)
 
+    def _attained(self) -> str:
+        if self._is_undecided and np.isinf(self.upper):
+            return "none is attained yet"
+        return f"{above(self.upper)} is attained"
+
     @property
     def _grounds(self) -> str:
         if self._is_undecided:
@@ -169,11 +174,12 @@ class SigmaBracket(PlainRecord):
         """
         if self._is_undecided and self.status in reasons:
             return (
-                f"Nothing is proven yet, whether sigma is positive is undecided: {above(self.upper)} is attained, and "
+                f"Nothing is proven yet, whether sigma is positive is undecided: {self._attained()}, and "
                 f"{reasons[self.status]}. {where}."
             )
-        attained = f"{above(self.upper)} is attained"
-        reached = f"; {attained}, and {reasons[self.status]}" if self.status in reasons else f" and {attained}"
+        reached = f" and {self._attained()}"
+        if self.status in reasons:
+            reached = f"; {self._attained()}, and {reasons[self.status]}"
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
         return f"{claim}{reached}. {where}.{left}"
 

@@ -26,6 +26,7 @@ VERBS = {
     "late samples": ("bracket.py", lambda: sd.window_sigma(TURNING, UNEVEN, 4.0, 1e-9, timing_tolerance=0.01)),
     "window, box": ("branch_and_bound.py", lambda: sd.window_sigma(BOX, RHYTHM, 4.0, 0.1)),
     "window, varying": ("bracket_varying.py", lambda: sd.window_sigma(VARYING, NINE, 3.0, 1e-5)),
+    "first windows, varying": ("time_varying.py", lambda: sd.window_sigma(VARYING, NINE, 3.0, 0.9)),
     "worst case": ("spaced_sphere.py", lambda: sd.worst_case_sigma(OSCILLATOR, FEW, 1e-4)),
     "worst case, box": ("spaced_sphere.py", lambda: sd.worst_case_sigma(BOX, FEW, 0.1)),
 }
@@ -55,7 +56,7 @@ class Interrupt:
             sys.setprofile(None)
 
 
-@pytest.mark.parametrize("verb", few(VERBS, 0, 2))
+@pytest.mark.parametrize("verb", few(VERBS, 0, 2, 4))
 def test_an_interrupt_leaves_the_bracket(verb):
     where, call = VERBS[verb]
     call()  # what is kept for the next call is not counted

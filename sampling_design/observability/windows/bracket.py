@@ -288,7 +288,7 @@ def _searched(
     D: Array | None = None,
 ) -> WindowBracket:
     """The bracket from one search, in states z where x = D z."""
-    short = _too_few(plant, pieces)
+    short = too_few(pieces, plant.n_states, plant.n_outputs)
     search = _BracketSearch(_PieceRows(plant, pieces, D), rtol, reached)
     if short is not None:
         status, g, start = "too few samples", short, (pieces.left[short] + pieces.right[short]) / 2
@@ -336,15 +336,15 @@ def _rows(plant: Plant, pieces: WindowPieces, g: int, start: float) -> Array:
     return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
 
 
-def _too_few(plant: Plant, pieces: WindowPieces) -> int | None:
+def too_few(pieces: WindowPieces, states: int, outputs: int) -> int | None:
     """The piece with fewest measurements, where these are fewer than the states."""
     if pieces.mask is None:
-        count = plant.n_outputs * (pieces.stop - pieces.first)
+        count = outputs * (pieces.stop - pieces.first)
     else:
         total = np.concatenate([[0], np.cumsum(pieces.mask.sum(axis=1))])
         count = total[pieces.stop] - total[pieces.first]
     g = int(np.argmin(count))
-    return g if count[g] < plant.n_states else None
+    return g if count[g] < states else None
 
 
 def _nothing_to_see(pieces: WindowPieces) -> WindowBracket:

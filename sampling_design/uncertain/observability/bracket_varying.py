@@ -18,9 +18,9 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -30,14 +30,14 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
-from sampling_design.observability.windows.bracket import WindowBracket
+from sampling_design.observability.windows.bracket import WindowBracket, too_few
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.timing import rows_without
 from sampling_design.observability.windows.window_record import WindowSigma, checked_pieces, record_of
 from sampling_design.observability.windows.window_sigma import left_of_sigma, lost_one_by_one
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.budget import Budget, Progress
+from sampling_design.records.budget import Budget, BudgetSpentError, Progress
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.plants.time_varying import MatrixTable, TimeVaryingPlant, TransitionTable, length_of
 
@@ -46,7 +46,7 @@ TURNS = 6  # in which real times of functions are sought
 LOOKED = 5  # instants of an interval at which functions are looked at
 MOST_PROVEN, MOST_SAMPLED = 5000, 100
 """Halvings at most: of tables, and of functions, whose every transition is an integration."""
-Flows: TypeAlias = Callable[[tuple[float, ...]], TransitionTable]
+Flows: TypeAlias = Callable[[tuple[float, ...], Budget], TransitionTable]
 EPS = float(np.finfo(float).eps)
 MOVED = 1 + 1e-9  # covers the rounding of a few operations
 
@@ -64,8 +64,8 @@ class _EvaluatedStart(NamedTuple):
 class VaryingSearch:
     """The bracket of one plant; transitions are scaled, and rows refer to scaled states."""
 
-    def __init__(self, plant: TimeVaryingPlant, pieces: WindowPieces, flows: Flows) -> None:
-        self.plant, self.pieces, self.flows = plant, pieces, flows
+    def __init__(self, plant: TimeVaryingPlant, pieces: WindowPieces, flows: Flows, clock: Budget) -> None:
+        self.plant, self.pieces, self.flows, self.clock = plant, pieces, flows, clock
         self.unit = plant.states.scales
         self.d = pieces.timing_tolerance.radius
         self.table, self.outputs = (
@@ -93,7 +93,7 @@ class VaryingSearch:
         if self.d and not proven:
             samples = self.worst_times(start, samples, mask)
         later = np.unique(np.concatenate([[start], np.maximum(samples, start)]))
-        transitions = self.flows(tuple(later.tolist()))
+        transitions = self.flows(tuple(later.tolist()), self.clock)
         flow, off, rows, wrong, unsure = np.eye(n), 0.0, list[Array](), list[float](), list[float]()
         lost = np.zeros((n, n))
         at = np.searchsorted(later, np.maximum(samples, start))
@@ -123,7 +123,7 @@ class VaryingSearch:
         """Real times of samples at which the window from `start` on was found to see little; nothing is proven."""
         real = np.clip(samples[:, None] + self.d * np.array([0.0, -1.0, 1.0]), start, self.plant.horizon)
         later, place = np.unique(np.append(start, real), return_inverse=True)
-        transitions, flow = self.flows(tuple(later.tolist())), [np.eye(self.plant.n_states)]
+        transitions, flow = self.flows(tuple(later.tolist()), self.clock), [np.eye(self.plant.n_states)]
         for F in transitions.F:
             flow.append(F @ flow[-1])
         rows = (transitions.C @ np.array(flow))[place[1:]].reshape(*real.shape, -1, self.plant.n_states)
@@ -147,7 +147,7 @@ class VaryingSearch:
 
     def before(self, node: _EvaluatedStart, s: float) -> _EvaluatedStart:
         """The node at an earlier start of the same piece."""
-        transitions = self.flows((s, node.at))
+        transitions = self.flows((s, node.at), self.clock)
         F, own, whole = transitions.F[0], float(transitions.errors[0]), float(np.linalg.norm(node.rows))
         size = length_of(F)
         off = node.wrong * (size + own) + whole * (own + 2 * F.size * EPS * size)
@@ -181,17 +181,29 @@ def bracket_varying(
 
     `flows` are the plant's transitions, kept for windows that are judged again without a sample.
     """
-    search, clock = VaryingSearch(plant, pieces, flows), Budget(budget)
-    nodes = [_first(search, g) if not g or not clock.over else [] for g in range(len(pieces))]
-    short = [g for g, own in enumerate(nodes) if own and len(own[0].rows) < plant.n_states]
-    if short:
-        return _bracket(search, nodes, short[0], nodes[short[0]][0], np.zeros(len(pieces)), "too few samples")
+    clock = Budget(budget)
+    search, nodes = VaryingSearch(plant, pieces, flows, clock), [list[_EvaluatedStart]() for _ in range(len(pieces))]
+    nothing = _EvaluatedStart(float(pieces.right[0]), np.zeros((0, plant.n_states)), 0.0, 0.0, np.inf)
+    short = too_few(pieces, plant.n_states, len(plant.outputs))
+    if short is not None:
+        best = nothing._replace(at=float(pieces.left[short]), sigma=0.0)
+        return _bracket(search, [[best]], short, best, np.zeros(len(pieces)), "too few samples")
+    status, most = "closed", MOST_PROVEN if plant.tabled else MOST_SAMPLED
+    try:
+        for g, own in enumerate(nodes):
+            for node in _first(search, g):
+                own.insert(0, node)
+    except KeyboardInterrupt:
+        status = "interrupted"
+    except BudgetSpentError:
+        status = "budget"
     heap = [(search.least(a, b), g, a.at, a, b) for g, own in enumerate(nodes) for a, b in pairwise(own)]
     heapq.heapify(heap)
-    floors = np.array([max(min((node.sigma - node.off for node in own), default=0.0), 0.0) for own in nodes])
-    g, best = min(((g, node) for g, own in enumerate(nodes) for node in own), key=lambda found: found[1].sigma)
-    status, most = "closed", MOST_PROVEN if plant.tabled else MOST_SAMPLED
-    for _ in range(most if all(nodes) else 0):
+    floors = np.array([max(min(node.sigma - node.off for node in own), 0.0) if own else 0.0 for own in nodes])
+    floors[[not own or own[0].at > left for own, left in zip(nodes, pieces.left.tolist(), strict=True)]] = 0.0
+    met = ((g, node) for g, own in enumerate(nodes) for node in own)
+    g, best = min(met, key=lambda found: found[1].sigma, default=(0, nothing))
+    for _ in range(most if status == "closed" else 0):
         if best.sigma <= best.off:
             if hidden(search, best):
                 return _bracket(search, nodes, g, best._replace(sigma=0.0), np.zeros(len(pieces)), "below rounding")
@@ -217,21 +229,30 @@ def bracket_varying(
         except KeyboardInterrupt:  # what the interval was known to be not below holds for its halves
             floors[piece], status = min(floors[piece], low), "interrupted"
             break
+        except BudgetSpentError:
+            status = "budget"
+            break
     else:
-        status = "budget"
+        status = status if status != "closed" else "budget"
     for low, piece, *_ in heap:
         floors[piece] = min(floors[piece], low)
     if not plant.tabled:
-        return _bracket(search, nodes, g, best, np.zeros(len(pieces)), "sampled")
+        met_any = status != "interrupted" and np.isfinite(best.sigma)
+        return _bracket(search, nodes, g, best, np.zeros(len(pieces)), "sampled" if met_any else status)
     return _bracket(search, nodes, g, best, floors, status)
 
 
 def kept_flows(plant: TimeVaryingPlant) -> Flows:
     """The plant's transitions between any times, each gap integrated once: windows share nearly all of theirs."""
-    over = cache(lambda a, b: plant.transitions((a, b)))
+    kept = dict[tuple[float, float], TransitionTable]()
 
-    def flows(times: tuple[float, ...]) -> TransitionTable:
-        parts = [over(a, b) for a, b in pairwise(times)]
+    def over(gap: tuple[float, float], clock: Budget) -> TransitionTable:
+        if gap not in kept:
+            kept[gap] = plant.transitions(gap, clock)
+        return kept[gap]
+
+    def flows(times: tuple[float, ...], clock: Budget) -> TransitionTable:
+        parts = [over(gap, clock) for gap in pairwise(times)]
         if not parts:
             return plant.transitions(times)
         C = np.concatenate([parts[0].C[:1], *(part.C[1:] for part in parts)])
@@ -241,13 +262,14 @@ def kept_flows(plant: TimeVaryingPlant) -> Flows:
     return flows
 
 
-def _first(search: VaryingSearch, g: int) -> list[_EvaluatedStart]:
-    """Nodes of a piece to begin with, in order."""
-    own = [search.last(g)]
+def _first(search: VaryingSearch, g: int) -> Iterator[_EvaluatedStart]:
+    """Nodes of a piece to begin with, the last first."""
+    node = search.last(g)
+    yield node
     for s in np.linspace(search.pieces.left[g], search.pieces.right[g], FIRST)[-2::-1].tolist():
-        if s < own[-1].at:
-            own.append(search.before(own[-1], s))
-    return own[::-1]
+        if s < node.at:
+            node = search.before(node, s)
+            yield node
 
 
 def hidden(search: VaryingSearch, start: _EvaluatedStart) -> bool:

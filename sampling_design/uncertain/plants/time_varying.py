@@ -17,6 +17,7 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.record import Record, counted, short
 from sampling_design.records.units import check_time_unit
 
@@ -49,7 +50,7 @@ class MatrixTable:
         return [a, *inner.tolist(), b]
 
 
-def table_flow(A: MatrixTable, a: float, b: float) -> tuple[Array, float]:
+def table_flow(A: MatrixTable, a: float, b: float, clock: Budget = ENDLESS) -> tuple[Array, float]:
     """Transition over [a, b], and a proven bound of its error (spectral norm).
 
     On a straight piece A_0 + A_1 s its coefficients obey (k + 1) F_{k+1} = A_0 F_k + A_1 F_{k-1}. With norms in place
@@ -71,6 +72,7 @@ def table_flow(A: MatrixTable, a: float, b: float) -> tuple[Array, float]:
             )
         h, slope = (q - p) / count, (high - low) / (q - p)
         for k in range(count):
+            clock.check()
             step, own = _series(low + (high - low) * (k / count), slope, h)
             own += 2 * EPS * abs(q) * size * np.exp(size * h)  # the ends of the step are rounded, too
             before, reach = length_of(F), length_of(step)
@@ -115,7 +117,14 @@ MOST_EVALUATIONS = 20000
 
 
 def integrated(
-    rate: Callable[[float, Array], Array], a: float, b: float, begin: Array, tolerance: float, *, dense: bool = False
+    rate: Callable[[float, Array], Array],
+    a: float,
+    b: float,
+    begin: Array,
+    tolerance: float,
+    clock: Budget = ENDLESS,
+    *,
+    dense: bool = False,
 ) -> tuple[Array, Callable[[float], Array]]:
     """The solution z' = rate(t, z) at b from `begin` at a, by LSODA, and where `dense` all of it.
 
@@ -134,6 +143,7 @@ def integrated(
         count, last = count + 1, t
         if count > MOST_EVALUATIONS:
             raise stopped()
+        clock.check()
         return rate(t, z)
 
     with warnings.catch_warnings():
@@ -272,12 +282,14 @@ class TimeVaryingPlant(Record):
         return Plant(A, C, G=G, time_unit=self.time_unit, states=self.states, outputs=self.outputs,
                      disturbances=self.disturbances, name=self.name)  # fmt: skip
 
-    def transitions(self, times: npt.ArrayLike) -> TransitionTable:
+    def transitions(self, times: npt.ArrayLike, clock: Budget = ENDLESS) -> TransitionTable:
         """Return the transitions between increasing times in [0, horizon].
 
         Parameters
         ----------
         times : (K,) array [time]
+        clock : Budget
+            Looked at before every step.
 
         Raises
         ------
@@ -285,6 +297,8 @@ class TimeVaryingPlant(Record):
             If the times are not increasing, or lie outside the horizon.
         SolverError
             If the integration fails.
+        BudgetSpentError
+            If the clock says that it is over.
 
         Notes
         -----
@@ -300,13 +314,13 @@ class TimeVaryingPlant(Record):
         outputs = outputs / self.outputs.scales[:, None]
         if isinstance(self.A, MatrixTable):
             own = self.A.in_units(unit, unit)
-            found = [table_flow(own, a, b) for a, b in pairwise(grid.tolist())]
+            found = [table_flow(own, a, b, clock) for a, b in pairwise(grid.tolist())]
             F = np.array([flow for flow, _ in found]).reshape(-1, n, n)
             return TransitionTable(F, outputs, np.array([error for _, error in found]), True)
-        coarse, fine = (self._flow_along(grid, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
+        coarse, fine = (self._flow_along(grid, tolerance, clock) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
         return TransitionTable(fine, outputs, np.linalg.norm(fine - coarse, ord=2, axis=(1, 2)), False)
 
-    def _flow_along(self, grid: Array, tolerance: float) -> Array:
+    def _flow_along(self, grid: Array, tolerance: float, clock: Budget) -> Array:
         """Phi for each gap, scaled, (K-1, n, n)."""
         n, unit = self.n_states, self.states.scales
 
@@ -318,7 +332,7 @@ class TimeVaryingPlant(Record):
                 )
             return np.asarray((A @ flat.reshape(n, n)).ravel())
 
-        ends = [integrated(rate, a, b, np.eye(n).ravel(), tolerance)[0] for a, b in pairwise(grid.tolist())]
+        ends = [integrated(rate, a, b, np.eye(n).ravel(), tolerance, clock)[0] for a, b in pairwise(grid.tolist())]
         return np.array(ends).reshape(-1, n, n)
 
     def explain(self) -> str:

@@ -20,11 +20,13 @@ from sampling_design.numerics import conic_programs
 from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.observability.worst_case import spaced_search
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import ENDLESS, Budget
+from sampling_design.uncertain.existence import existence_over_box
 from sampling_design.uncertain.inclusion.program import InclusionProgram
 from sampling_design.uncertain.observability import bracket_varying
 from sampling_design.uncertain.observability.bracket_varying import kept_flows
 from sampling_design.uncertain.observability.window_balls import WindowsOverBox
+from sampling_design.uncertain.plants import time_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
 UNEVEN = sd.PeriodicSchedule([0.7, 1.0, 0.4])
@@ -128,7 +130,7 @@ def test_every_gap_of_a_varying_plant_is_integrated_once(pieces, swing):
     pieces.of(TimeVaryingPlant, "transitions")
     flows, whole = kept_flows(swing), swing.transitions(times)
     for _ in range(2):
-        kept = flows(tuple(times.tolist()))
+        kept = flows(tuple(times.tolist()), ENDLESS)
         for key in ("F", "C", "errors", "proven"):
             assert np.array_equal(getattr(kept, key), getattr(whole, key))
     assert pieces.count == times.size  # the whole, and each gap
@@ -139,12 +141,48 @@ def test_windows_of_a_varying_plant_that_nobody_looked_at_are_not_proven(pieces)
     stack = [[[0.0, 1.0], [-1 - 0.5 * np.cos(t), 0.0]] for t in knots]
     table = TimeVaryingPlant.from_table(knots, stack, [[[1.0, 0.0]]] * 9)
     schedule = sd.Schedule(np.arange(0.0, 16.1, 0.5))
-    pieces.of(TimeVaryingPlant, "transitions")
-    found = sd.window_sigma(table, schedule, 4.0, budget=1.0)
-    assert pieces.count <= 1.0 + 16
-    assert (found.lower, found.status, found.closed) == (0.0, "budget", False)
     whole = sd.window_sigma(table, schedule, 4.0)
-    assert 0 < whole.lower <= whole.upper <= found.upper
+    pieces.of(time_varying, "_series")
+    for budget in (0.0, 3.0, 40.0, 150.0):
+        begun = pieces.count
+        found = sd.window_sigma(table, schedule, 4.0, budget=budget)
+        assert pieces.count - begun <= budget + 2
+        assert (found.status, found.closed) == ("budget", False)
+        assert found.lower <= whole.lower <= whole.upper <= found.upper
+        assert ("none is attained yet" in str(found)) == np.isinf(found.upper) == (budget < 40)
+    assert whole.lower > 0 == found.lower
+
+
+def test_functions_of_a_varying_plant_are_followed_within_the_budget(pieces):
+    looked = []
+    plant = TimeVaryingPlant(lambda t: looked.append(t) or [[0.0, 1.0], [-1 - 0.5 * np.cos(t), 0.0]],
+                             lambda t: [[1.0, 0.0]], horizon=16.0)  # fmt: skip
+    pieces.patch.setattr(time, "perf_counter", lambda: len(looked))
+    for budget, status in ((20.0, "budget"), (3000.0, "sampled")):
+        begun = len(looked)
+        found = sd.window_sigma(plant, sd.Schedule(np.arange(0.0, 16.1, 0.5)), 4.0, budget=budget)
+        assert len(looked) - begun <= 1.1 * budget + 60  # growth is looked at between what was evaluated by then
+        assert (found.lower, found.status) == (0.0, status)
+
+
+def test_gains_over_a_box_end_with_the_budget(pieces):
+    """A filter of four hundred periods was run for every cell, thirty-two of them between two looks at the clock."""
+    box = sd.UncertainPlant(OSCILLATOR, [sd.UncertainParameter("k", -0.5, 1.0, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    for name in ("update_with_gain", "judged"):
+        pieces.of(existence_over_box, name)
+    schedule = sd.PeriodicSchedule([2.7])
+    whole = sd.uncertain.largest_box(box, schedule, eta=0.1, budget=1e6)
+    assert whole.closed
+    assert pieces.count > 200
+    for budget in (1.0, 30.0):
+        begun = pieces.count
+        found = sd.uncertain.largest_box(box, schedule, eta=0.1, budget=budget)
+        assert pieces.count - begun <= budget + 3
+        assert found.share <= whole.refuted
+        begun = pieces.count
+        with pytest.raises(UndecidedError, match="exists for every plant of the box"):
+            sd.certificate_exists(box, sd.PeriodicSchedule([2.5]), 0.1, budget=budget)
+        assert pieces.count - begun <= budget + 3
 
 
 def test_no_two_times_of_a_varying_plant_are_nearer_than_events_are_told_apart(swing, monkeypatch):

@@ -23,7 +23,6 @@ from sampling_design.uncertain.accuracy import accuracy_over_box
 from sampling_design.uncertain.box.branching import branch, halved
 from sampling_design.uncertain.box.expansion import BoxCells, exponentials
 from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.existence.existence_over_box import existence_over_box
 from sampling_design.uncertain.existence.largest_box import largest_box
 from sampling_design.uncertain.observability import zero_count_over_box
 from sampling_design.uncertain.observability.worst_case_balls import least_over, points_of
@@ -297,7 +296,7 @@ def test_a_mode_that_no_output_sees_may_decay_for_every_plant_of_a_box():
 def test_existence_that_is_not_decided_says_so():
     schedule = PeriodicSchedule([2.85])
     with pytest.raises(UndecidedError, match="exists for every plant of the box"):
-        existence_over_box(oscillator(), schedule, 0.1, seconds=0.0)
+        certificate_exists(oscillator(), schedule, 0.1, budget=1e-9)
 
 
 @pytest.mark.long

@@ -94,7 +94,9 @@ class Existence(ExistenceAnswer, PlainRecord):
 
 
 @open_verb(ExistenceAnswer)
-def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float, of: Wanted = None) -> Existence:
+def certificate_exists(
+    plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float, of: Wanted = None, *, budget: float = 60.0
+) -> Existence:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
     Parameters
@@ -107,6 +109,8 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state: names of states or outputs, or the rows (`functional_plant`).
         Default: all states.
+    budget : float [seconds]
+        Over a box; what has neither been proven nor refuted then is undecided.
 
     Returns
     -------
@@ -116,7 +120,8 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     ------
     UndecidedError
         If the lifted pair misses a mode as far as rounding can tell, and yet the filter's covariance stays bounded; or
-        the samples are so dense that two modes that longer periods tell apart are one to rounding.
+        the samples are so dense that two modes that longer periods tell apart are one to rounding; or, over a box, the
+        budget ran out.
 
     Notes
     -----

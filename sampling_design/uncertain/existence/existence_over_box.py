@@ -93,13 +93,14 @@ def margin_on(schedule: PeriodicSchedule, eta: float) -> Margin:
 
 
 def existence_over_box(
-    plant: UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float, seconds: float = SECONDS
+    plant: UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float, budget: float = SECONDS
 ) -> ExistenceOverBox:
     """Decide for a whole box: see `certificate_exists`. A "no" is one plant's own.
 
     Raises UndecidedError if the budget ran out before every cell was proven and no plant without certificate was found.
     """
     schedule, eta = align(plant.nominal, schedule), checks.nonnegative("eta", eta)
+    clock = Budget(checks.positive("budget", budget))
     if not schedule.endless:
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
@@ -107,7 +108,7 @@ def existence_over_box(
     if not model.m:  # of one plant its eigenvalues say it
         own = certificate_exists(plant.nominal, schedule, eta)
         return ExistenceOverBox(own.exists, model.values(model.start), own.margin, own.reason, 0, plant)
-    gaps, budget = FilteredErrors(model, schedule, eta), Budget(seconds)
+    gaps = FilteredErrors(model, schedule, eta, clock)
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
 
     def parts_of(cell: BoxCells) -> list[BoxCells] | None:
@@ -118,10 +119,10 @@ def existence_over_box(
         looked += 1
         if looked % LOOKS == 1:
             worst = looked_at(model, margin, cell.u[0], worst)
-            worst = descended(model, margin, worst, budget) if worst[1] else worst
+            worst = descended(model, margin, worst, clock) if worst[1] else worst
             if not worst[1]:
                 return None
-        if budget.over or cell.half.max(initial=0.0) < SMALLEST:
+        if clock.over or cell.half.max(initial=0.0) < SMALLEST:
             values = model.values(worst[2])
             raise UndecidedError(
                 f"undecided: whether a certificate with rate {below(eta)} exists for every plant of the box; the "
@@ -133,7 +134,7 @@ def existence_over_box(
 
     if not worst[1] or not all_proven([BoxCells.whole(model.m)], parts_of):
         return ExistenceOverBox(False, model.values(worst[2]), worst[0], worst[3], proven, plant)
-    worst = descended(model, margin, worst, budget)
+    worst = descended(model, margin, worst, clock)
     reason = "gains were proven to make the error of every plant contract" if worst[1] else worst[3]
     return ExistenceOverBox(worst[1], model.values(worst[2]), worst[0], reason, proven, plant)
 
@@ -169,8 +170,8 @@ def descended(model: BoxModel, margin: Margin, best: CellAnswer, clock: Budget) 
 class FilteredErrors:
     """The error e -> (I - K C(theta)) e^{(A(theta) + eta/2) h} e over every gap of a period, with gains of a centre."""
 
-    def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float) -> None:
-        self.model, self.gaps = model, np.append(schedule.gaps[1:], schedule.gaps[0])
+    def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float, clock: Budget) -> None:
+        self.clock, self.model, self.gaps = clock, model, np.append(schedule.gaps[1:], schedule.gaps[0])
         n, p = model.n, len(model.C)
         outputs = np.ones((len(schedule), p), dtype=bool) if schedule.outputs is None else schedule.outputs
         self.measured, self.rate = np.roll(outputs, -1, axis=0), eta
@@ -218,7 +219,10 @@ class FilteredErrors:
         return np.append(cell.half[0] * (along + rows), 0.0)[None]
 
     def _filter(self, A: Array, C: Array) -> tuple[list[Array], list[Array]] | None:
-        """Gains after each gap and a root of the information before it, in the rhythm of the period; None if lost."""
+        """Gains after each gap and a root of the information before it, in the rhythm of the period.
+
+        None if that, or time, is lost.
+        """
         n, gaps = self.model.n, self.gaps
         shifted = A + self.rate / 2 * self.identity
         flows = Plant(shifted, C).transition(gaps)
@@ -230,7 +234,7 @@ class FilteredErrors:
                 infos.append(Y)
                 Y, K = update_with_gain(propagate(Y, F, noise[i] * self.identity), C[self.measured[i]])
                 gains.append(K)
-            if not np.isfinite(Y).all() or np.linalg.norm(Y) > 1e12:
+            if self.clock.over or not np.isfinite(Y).all() or np.linalg.norm(Y) > 1e12:
                 return None
             found = gains, infos
             if period > 3 and np.linalg.norm(Y - last) < SETTLED * np.linalg.norm(Y):

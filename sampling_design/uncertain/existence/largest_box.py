@@ -19,7 +19,7 @@ from sampling_design.records.record import PlainRecord, above, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import TOGETHER, bisected
+from sampling_design.uncertain.box.branching import TOGETHER, bisected, judged_in_time
 from sampling_design.uncertain.box.branching import descended as descended_sigma
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel, at_parameters
@@ -174,14 +174,14 @@ def largest_box(
         question = f"a certificate with rate {short(rate)} exists"
         cells = BoxCells.whole(model.m)
         search, together = _by_gains(model, repeated, rate, clock), GAINED_TOGETHER
-    return _searched(model, cells, search, together, tolerance, clock.left, question)
+    return _searched(model, cells, search, together, tolerance, clock, question)
 
 
 def _by_sigma(over_box: WindowsOverBox, floor: float, clock: Budget) -> Search:
     """Sigma of every window above a number."""
 
     def judge(cells: BoxCells) -> Judged:
-        lower, centre, effect = over_box.judge(cells)
+        lower, centre, effect = judged_in_time(cells, over_box.judge, clock)
         lost, k = np.asarray(centre <= floor), int(np.argmin(centre))
         lost[k] |= over_box.unobservable(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
         return lower > floor, lost, effect
@@ -197,13 +197,13 @@ def _by_sigma(over_box: WindowsOverBox, floor: float, clock: Budget) -> Search:
 
 def _by_gains(model: BoxModel, schedule: PeriodicSchedule, eta: float, clock: Budget) -> Search:
     """Certificates that exist."""
-    gaps, margin = FilteredErrors(model, schedule, eta), margin_on(schedule, eta)
+    gaps, margin = FilteredErrors(model, schedule, eta, clock), margin_on(schedule, eta)
 
     def judge(cells: BoxCells) -> Judged:
         every = cells.each()
         proven = np.array([gaps.contract(cell) for cell in every])
         lost = [
-            not good and not margin(model.plant.at(model.values(cell.u[0])))[0]
+            not (good or clock.over or margin(model.plant.at(model.values(cell.u[0])))[0])
             for good, cell in zip(proven.tolist(), every, strict=True)
         ]
         return proven, np.array(lost), np.concatenate([gaps.effect(cell) for cell in every])
@@ -223,7 +223,7 @@ def _level(model: BoxModel, u: Array) -> Array:
 
 
 def _searched(
-    model: BoxModel, cells: BoxCells, search_of: Search, together: int, rtol: float, seconds: float, question: str
+    model: BoxModel, cells: BoxCells, search_of: Search, together: int, rtol: float, clock: Budget, question: str
 ) -> LargestBox:
     """BoxCells from the nominal values outwards."""
     worst, rounds, (judge, failing) = model.start, 0, search_of
@@ -252,7 +252,7 @@ def _searched(
         parts, parents = bisected(cells, effect)
         return None if model.m and parts.half.max(axis=1).min() < SAME else (parts, parents)
 
-    search = LeastOverCells(cells, begin(cells), within(rtol), Budget(seconds), together=together, begin=begin)
+    search = LeastOverCells(cells, begin(cells), within(rtol), clock, together=together, begin=begin)
     closed = search.run(judged, cut) == "closed"
     share, failed = min(1.0, float(search.lower[0])), float(search.best[0])
     return _found(model, share, failed, worst, closed, question, search.judged)

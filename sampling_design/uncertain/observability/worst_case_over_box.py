@@ -222,7 +222,7 @@ def _searched(
                 return None
             if tuple(u.tolist()) not in known:
                 found = one(model.plant.at(model.values(u)), FINER * rtol, left)
-                inner = one(model.balanced_at(u), FINER * rtol, left).lower if wide else 0.0
+                inner = one(model.balanced_at(u), FINER * rtol, budget.left).lower if wide and budget.left else 0.0
                 # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
                 known[tuple(u.tolist())] = max(found.lower, inner / (UP * float(model.unit.max()))), inner
                 if search.attain(np.array([found.upper])).size:

@@ -39,6 +39,7 @@ SUSPECTS = 24
 LONGEST_LOOK = 6.0  # seconds of that search
 MOST_UNKNOWNS = 4000  # of a program with more memory than the least: it would take minutes
 BISECTIONS, CLOSE = 12, 1.003  # of the longest gap: at most so many, until both ends are this near
+SEEKING = 0.6  # share of a budget in which the longest gap is sought; it is proven in the rest
 
 
 @checked
@@ -297,6 +298,7 @@ def longest_gap(
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
     pieces: int = 16,
+    budget: float | None = None,
     progress: Progress | None = None,
 ) -> InclusionCertificate:
     """Return the certificate of the longest gaps that are proven at a rate.
@@ -313,6 +315,8 @@ def longest_gap(
         As for `certify`.
     pieces : int
         Of P(tau): more pieces, longer gaps.
+    budget : float, optional [seconds]
+        When it runs out, the longest gap so far is proven, in what is left of it.
     progress : callable, optional
 
     Returns
@@ -336,19 +340,22 @@ def longest_gap(
     least = None if shortest is None else checks.positive("shortest", shortest)
     if least is not None and least > top:
         raise ArgumentError(f"`most` must be at least `shortest` = {least!r}, got {top!r}.")
-    began, report = Budget(), progress or (lambda fraction, message: None)
-
+    given = Budget(None if budget is None else checks.positive("budget", budget))
+    report, seeking = progress or (lambda fraction, message: None), given.share(SEEKING)
     weights = weights_of(plant.centre, Qw, R, Qv)
     in_terms(plant, GapRange(top, top))
 
-    def search(gap: float) -> InclusionSearch:
+    def search(gap: float, within: Budget) -> InclusionSearch:
         family = GapRange(min(gap, gap / 10 if least is None else least), gap)
-        return InclusionSearch(plant, family, graph_for(family, 0, plant.centre.n_outputs), weights, 3.0)
+        return InclusionSearch(plant, family, graph_for(family, 0, plant.centre.n_outputs), weights, 3.0, within)
 
     low, high = top / 1000 if least is None else least, top
     for k in range(BISECTIONS):
         gap = high if not k else float(np.sqrt(low * high)) if low < high / 4 else (low + high) / 2
-        if search(gap).solve(rate, count, narrow=False) is None:
+        found = search(gap, seeking).solve(rate, count, narrow=False)
+        if seeking.over:
+            break
+        if found is None:
             high = gap
         else:
             low = gap
@@ -356,7 +363,12 @@ def longest_gap(
         if high < low * CLOSE:
             break
     for factor in (1.0, 0.997, 0.99, 0.97, 0.93, 0.8, 0.5):
-        made, _ = search(float(f"{low * factor:.4g}")).proven(rate, count, began)
+        made, _ = search(float(f"{low * factor:.4g}"), given).proven(rate, count, given)
         if made is not None:
             return made
-    raise UndecidedError(f"undecided: no gap of at least {low / 2:.3g} was proven at rate {short(rate)}.", eta=rate)
+        if given.over:
+            break
+    late = f" within `budget` = {short(given.seconds)} s" if given.over else ""
+    raise UndecidedError(
+        f"undecided: no gap of at least {low / 2:.3g} was proven at rate {short(rate)}{late}.", eta=rate
+    )

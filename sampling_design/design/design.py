@@ -370,6 +370,7 @@ class _DesignRun:
             solver=sized.solver,
             status=_status(proof.lower, bound.value) if found.complete and time_left else self.late,
             notes=(self.used["notice"],) if "notice" in self.used else (),
+            seconds=self.budget.seconds,
         )
 
     def tied(self, sized: CountProblem, rng: np.random.Generator, reached: float) -> list[tuple[Array, Mask, float]]:
@@ -392,13 +393,8 @@ class _DesignRun:
 
     def proven(self, problem: DesignProblem, times: Array, mask: Mask) -> tuple[PeriodicSchedule, WindowSigma]:
         """The times as a schedule, outputs listed only where a sample leaves some out, and what it proves."""
-        schedule = PeriodicSchedule.from_times(
-            times,
-            problem.period,
-            None if mask.all() else mask,
-            time_unit=self.plant.time_unit,
-            output_names=self.plant.outputs.names,
-        )
+        listed, unit, names = None if mask.all() else mask, self.plant.time_unit, self.plant.outputs.names
+        schedule = PeriodicSchedule.from_times(times, problem.period, listed, time_unit=unit, output_names=names)
         least = _PROOF * min(self.budget.seconds, self.budget.spent) + LEAST_SECONDS
         seconds = self.budget.seconds_left(least / 2, 1 / 2)
         return schedule, prove(self.split, schedule, self.requirement, self.rtol, budget=seconds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -187,7 +187,8 @@ def sample_losses(
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
     bound = np.maximum(_bounds(design, periods, every_period, given, rng), lower)  # it may round to just below a proof
     lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
-    times, left = design.schedule.times, None if given.over else design.deviations
+    judged = design if given.left >= design.seconds else replace(design, seconds=given.left)
+    times, left = design.schedule.times, judged.deviations
     unit, coordinates = design.schedule.time_unit, design.coordinates
     return SampleLosses(times, design.sigma, lower, upper, bound, every_period, unit, left, coordinates=coordinates)
 

@@ -80,6 +80,8 @@ class ScheduleDesign(PlainRecord):
     other_counts : dict of int to UpperBound
         With "at_most": the bounds of the other counts of samples, as far as these need one of their own; every
         schedule of any count left out can take one sample more, and sees no less then.
+    seconds : float
+        That the search was given; `deviations` take as many at most.
     """
 
     schedule: PeriodicSchedule | None
@@ -98,6 +100,7 @@ class ScheduleDesign(PlainRecord):
     status: str = "complete"
     notes: tuple[str, ...] = field(default=())
     other_counts: dict[int, UpperBound] = field(default_factory=dict)
+    seconds: float = np.inf
 
     _plain = (
         "format:_format status claim plant requirement defaults_used retained_states:split.retained.n_states schedule "
@@ -134,11 +137,14 @@ class ScheduleDesign(PlainRecord):
 
     @cached_property
     def deviations(self) -> SigmaDeviations | None:
-        """What is left of sigma if samples come early or late or one is lost; None where nothing has to be observed."""
+        """What is left of sigma if samples come early or late or one is lost.
+
+        None where nothing has to be observed, or `seconds` are too few.
+        """
         if self.schedule is None or not self.sigma > 0:
             return None
         window = float(self.requirement.window or 0)
-        return deviations_of(self.split.retained, self.schedule, window, self.late, self.sigma)
+        return deviations_of(self.split.retained, self.schedule, window, self.late, self.sigma, seconds=self.seconds)
 
     @property
     def late(self) -> TimingTolerance:

@@ -54,14 +54,15 @@ def deviations_of(
     def lost(pieces: WindowPieces, limit: Budget) -> tuple[float, int]:
         return lost_one_by_one(least, plant.n_outputs, len(schedule), pieces, limit)
 
+    limit = Budget(seconds)
     found = left_of_sigma(
-        schedule, window, least, lost, plant.time_unit, asked=asked, sigma=sigma, start=start, seconds=seconds
+        schedule, window, least, lost, plant.time_unit, asked=asked, sigma=sigma, start=start, seconds=limit.left
     )
     if found is None or max(found.late, found.late_wider, found.lost) > 0:
         return found
     # where growth within the window hides sigma itself from doubles they say nothing of what is left of it
     pieces = window_pieces(schedule, window, start, asked)
-    whole = sigma_of_pieces(plant, schedule, pieces, DEVIATION_RTOL, np.inf, handed_over=0.0)
+    whole = sigma_of_pieces(plant, schedule, pieces, DEVIATION_RTOL, limit.left, handed_over=0.0)
     return None if whole.status == "below rounding" else found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -103,38 +104,30 @@ class AccuracyWitness(Record):
         size = np.max(np.abs(self.w), axis=0, initial=0.0) if units is None else units
         A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]  # what is 0 cannot close a gap
         moves, size = size > 0, np.where(size > 0, size, 1.0)
-        flows = _cell_flows(A, G, self.edges)
-        ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
+        flows, which = _cell_flows(A, G, self.edges)
+        ends = np.searchsorted(self.edges, self.samples)
         z, w = self.states / scale, self.w / size
-        for at, inside in _alike(ends[:-1]):  # each gap is simulated from its own state
-            ahead, flat = _over_gaps(flows[inside])
-            moved = products(ahead, z[at]) + products(flat, w[inside].reshape(len(at), -1))
-            terms = products(np.abs(ahead), np.abs(z[at]))
-            terms += products(np.abs(flat), np.abs(w[inside]).reshape(len(at), -1))
-            terms = np.maximum(terms, LAST_DIGIT / CLOSED * np.abs(flat).sum(axis=2))
-            unit, left = terms.clip(1e-300), z[at + 1] - moved
+        for at, inside, ahead, flat in _alike(flows, which, ends):  # each gap is simulated from its own state
+            own = w[inside].reshape(len(at), -1)
+            terms = np.abs(z[at]) @ np.abs(ahead).T + np.abs(own) @ np.abs(flat).T
+            terms = np.maximum(terms, LAST_DIGIT / CLOSED * np.abs(flat).sum(axis=1))
+            unit, left = terms.clip(1e-300), z[at + 1] - (z[at] @ ahead.T + own @ flat.T)
             change = _least_change(flat / unit[:, :, None], left / unit)
             change[:, np.tile(~moves, inside.shape[1])] = 0.0  # of what does not drive: rounding
-            open_still = np.abs(left - products(flat, change))
+            open_still = np.abs(left - change @ flat.T)
             change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
             w[inside] += change.reshape(*inside.shape, -1)
-        ahead, flat = _over_gaps(flows[None, ends[-2] :])
-        x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
+        first, count = int(ends[-1]), len(w)
+        some = np.append(np.arange(first, count, max(math.isqrt(count - first), 1)), count)  # alike, as a rule
+        x = _carried(flows, which, some, z[-1], w)[-1]
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
 
     def propagated(self) -> AccuracyWitness:
         """Return the witness with states that follow from the first one by its disturbance."""
         scale, size = self.scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
         A, G = self.plant.A * scale / scale[:, None], self.plant.G * size / scale[:, None]
-        flows, w = _cell_flows(A, G, self.edges), self.w / np.where(size > 0, size, 1.0)
-        ends = np.searchsorted(self.edges, self.samples)
-        onward, moved = np.zeros((len(ends) - 1, len(scale), len(scale))), np.zeros((len(ends) - 1, len(scale)))
-        for at, inside in _alike(ends):
-            onward[at], flat = _over_gaps(flows[inside])
-            moved[at] = products(flat, w[inside].reshape(len(at), -1))
-        z = self.states / scale
-        for k, (ahead, driven) in enumerate(zip(onward, moved, strict=True)):
-            z[k + 1] = ahead @ z[k] + driven
+        (flows, which), w = _cell_flows(A, G, self.edges), self.w / np.where(size > 0, size, 1.0)
+        z = _carried(flows, which, np.searchsorted(self.edges, self.samples), self.states[0] / scale, w)
         return replace(self, states=freeze(scale * z))
 
     def within(self, excess: float, value: float) -> AccuracyWitness:
@@ -186,21 +179,31 @@ class AccuracyWitness(Record):
         return {**selected(self, "row edges w samples last states value"), "outputs": outputs}
 
 
-def _cell_flows(A: Array, G: Array, edges: Array) -> Array:
-    """Flows over cells (M, n, n + q); those whose lengths differ by the rounding of their ends alone share one."""
+def _cell_flows(A: Array, G: Array, edges: Array) -> tuple[Array, Index]:
+    """Flows over cells (k, n, n + q), each once, and which of them each cell (M,) has.
+
+    Cells whose lengths differ by the rounding of their ends alone share one.
+    """
     if edges.size < 2:
-        return forced_flow(A, G, [])
+        return forced_flow(A, G, []), np.zeros(0, dtype=np.intp)
     lengths, digit = np.diff(edges), 2 * np.spacing(edges[-1])
-    _, first, place = np.unique(np.rint(lengths / digit), return_index=True, return_inverse=True)
-    return np.asarray(forced_flow(A, G, lengths[first])[place])
+    _, first, which = np.unique(np.rint(lengths / digit), return_index=True, return_inverse=True)
+    return forced_flow(A, G, lengths[first]), which
 
 
-def _alike(ends: Index) -> Iterator[tuple[Index, Index]]:
-    """Gaps of equally many cells: which they are (K,), and their cells (K, m); gap k is from ends[k] to ends[k + 1]."""
+def _alike(flows: Array, which: Index, ends: Index) -> Iterator[tuple[Index, Index, Array, Array]]:
+    """Gaps of the same cells, those of a period: which (K,), their cells (K, m), and the flow over one of them.
+
+    Gap k is from ends[k] to ends[k + 1].
+    """
     cells = np.diff(ends)
     for count in np.unique(cells):
         at = np.flatnonzero(cells == count)
-        yield at, ends[at][:, None] + np.arange(count)
+        inside = ends[at][:, None] + np.arange(count)
+        kinds, kind = np.unique(which[inside], axis=0, return_inverse=True)
+        for k, (ahead, flat) in enumerate(zip(*_over_gaps(flows[kinds]), strict=True)):
+            own = kind.ravel() == k
+            yield at[own], inside[own], ahead, flat
 
 
 def _over_gaps(flows: Array) -> tuple[Array, Array]:
@@ -214,6 +217,17 @@ def _over_gaps(flows: Array) -> tuple[Array, Array]:
         blocks[:, :, cell] = ahead @ flows[:, cell, :, n:]
         ahead = ahead @ flows[:, cell, :, :n]
     return ahead, blocks.reshape(count, n, -1)
+
+
+def _carried(flows: Array, which: Index, ends: Index, z: Array, w: Array) -> Array:
+    """Where cells carry a state z (n,) with w (M, q), at some of their ends (K, n); there it is at the first."""
+    states, moved = np.tile(z, (ends.size, 1)), np.zeros((ends.size, z.size))
+    onward = np.zeros((*states.shape, z.size))
+    for at, inside, ahead, flat in _alike(flows, which, ends):
+        onward[at], moved[at] = ahead, w[inside].reshape(len(at), -1) @ flat.T
+    for k in range(ends.size - 1):
+        states[k + 1] = onward[k] @ states[k] + moved[k]
+    return states
 
 
 def _least_change(rows: Array, wanted: Array) -> Array:
@@ -278,8 +292,11 @@ def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset
         d = opened.d[: offset + 1]
         if d[0] > 0:
             d = np.append(np.linspace(0.0, d[0], opened.d.size)[:-1], d)
-        moved = _cell_flows(system.A, system.G, d)[:, :, len(system.D) :]
-        mean = np.einsum("ki,kiq->kq", (row * system.D) @ expm_batch(system.A, d[:-1]), moved)
+        flows, which = _cell_flows(system.A, system.G, d)
+        ahead, mean = row * system.D, np.zeros((which.size, scale.size))
+        for k, cell in enumerate(which.tolist()):
+            both = ahead @ flows[cell]
+            ahead, mean[k] = both[: row.size], both[row.size :]
         if system.bounds.w_ball:
             size = np.linalg.norm(mean, axis=1, keepdims=True)
             u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)

@@ -73,7 +73,7 @@ def output_of(found: Disproof, k: int) -> int:
 
 
 class EstimateEvidence:
-    """The nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
+    """The last nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
 
     __slots__ = ("assumed", "inputs", "nodes", "radius_known")
 
@@ -163,8 +163,7 @@ class EstimateEvidence:
         return StateTube(tube.times, nothing, nothing)
 
     def _readings(self, until: float | None = None) -> Readings:
-        nodes = self.nodes[-(REMEMBERED + 1) :]
-        first = nodes[0]
+        first = self.nodes[0]
         start = replace(self.assumed.error, centre=first.x)
         if first.number:
             known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
@@ -174,7 +173,7 @@ class EstimateEvidence:
         if start.unbounded and first.box is not None:
             start = first.box.within
         rows: dict[float, tuple[RowReading, ...]] = {}
-        for node in nodes:
+        for node in self.nodes:
             rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
         if until is not None:
             rows[until] = self.assumed.state
@@ -184,7 +183,7 @@ class EstimateEvidence:
         C, noise, sizes = self.assumed.plant.C, self.assumed.noise, self.assumed.noise.half_widths
         y = node.y - node.feedthrough - noise.centre
         rows = [RowReading(C[i], float(y[i]), float(sizes[i]), output=int(i)) for i in np.flatnonzero(node.mask)]
-        first = self.nodes[-(REMEMBERED + 1) :][0].t
+        first = self.nodes[0].t
         for each in node.sample.censored:
             if each.since is None or each.since >= first:
                 size, centre = float(sizes[each.output]), float(noise.centre[each.output])

@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of, with_proof
-from sampling_design.estimators.online.evidence import EstimateAssumptions, EstimateEvidence
+from sampling_design.estimators.online.evidence import REMEMBERED, EstimateAssumptions, EstimateEvidence
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
@@ -140,9 +140,10 @@ class Recorder:
         """Return an estimate made from the nodes up to one of them, with the evidence for its interval, or centred."""
         if self.assumed is None:
             return estimate
-        nodes = state.nodes if at + 1 == len(state.nodes) else state.nodes[: at + 1]
+        nodes = state.nodes[max(at - REMEMBERED, 0) : at + 1]  # each estimate would hold a copy of all that are kept
         evidence = self._evidence
-        if evidence is None or evidence.nodes is not nodes or evidence.inputs is not state.inputs:
+        same = evidence is not None and evidence.nodes[-1] is nodes[-1] and evidence.nodes[0] is nodes[0]
+        if evidence is None or not same or evidence.inputs is not state.inputs:
             evidence = self._evidence = EstimateEvidence(self.assumed, nodes, state.inputs, not self.bounds.note)
         found = with_proof(estimate, evidence)
         if not self.centred or found.status == "prior":

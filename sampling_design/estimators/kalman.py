@@ -221,6 +221,11 @@ class KalmanFilter(WindowedEstimator):
             `covariance` in units of the last sample (discounted to it), so that the one `radius` of the
             last sample holds for all: |x(t_j) - x_j|^2 in the inverse covariance is at most the radius. `radii` are
             those of intervals that twelve samples before and after prove, no wider than the ellipsoid.
+
+        Raises
+        ------
+        ArgumentError
+            As `run`, or if the record is so long that its discount falls below all numbers.
         """
         fresh = copy(self)
         fresh.memory = np.inf
@@ -234,9 +239,15 @@ class KalmanFilter(WindowedEstimator):
         first, last = nodes[0], nodes[-1]
         start = WindowStart(first.t, first.x, first.beta, None, nodes[1:-1])
         window = fresh._window(fresh.state, start, last)
-        smoothed, latest = smooth(window), last.estimate
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is looked at
+            smoothed, latest = smooth(window), last.estimate
+            covariances, estimates = smoothed.spread.covariances(), []
+        if not np.isfinite(smoothed.nodes).all() or not np.isfinite(covariances).all():
+            raise ArgumentError(
+                f"`record` must be shorter at the rate eta = {self.weights.eta:.6g}: over {last.t - first.t:.6g} "
+                f"{self.plant.time_unit} its discount falls below all numbers. Smooth it in parts (`between`)."
+            )
         at = {t: j for j, t in enumerate(window.times.tolist())}
-        covariances, estimates = smoothed.spread.covariances(), []
         for k, node in enumerate(nodes[1:], 1):
             j = at[node.t]
             known = min(k + REMEMBERED // 2, len(nodes) - 1)

@@ -14,6 +14,7 @@ from sampling_design import (
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimator import Estimator
+from sampling_design.estimators.online.evidence import REMEMBERED
 from tests.benchmarks.baselines import periodic_at_equal_cost, standard_mhe
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -179,3 +180,22 @@ def test_a_covariance_whose_squares_overflow_is_one_and_nothing_warns():
         assert np.isfinite(first.radius)
         assert np.isfinite(estimator.update(0.3, [1.0]).x).all()
         assert np.isfinite(estimator.update(2.0, [1.0]).x).all()
+
+
+def test_estimates_hold_the_samples_that_prove_them_and_no_copy_of_all_that_are_kept():
+    """With a long `maximum_delay` each estimate held all before it: the square of a record's length in memory."""
+    plant = sd.plants.library.oscillator()
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    kalman = sd.KalmanFilter(plant, cost=sd.CostFunction(eta=0.2), maximum_delay=1e9, **bounds)
+    record = [(float(k), [np.sin(k)]) for k in range(1, 60)]
+    for found in (kalman.run(record), kalman.smooth(record)):
+        assert max(len(each.proof.nodes) for each in found) == REMEMBERED + 1
+    assert len(kalman.state.nodes) == 60
+
+
+def test_a_record_whose_discount_vanishes_is_not_smoothed():
+    """States were no numbers then."""
+    kalman = sd.KalmanFilter(sd.plants.library.oscillator(), cost=sd.CostFunction(eta=20.0))
+    with pytest.raises(ArgumentError, match="`record` must be shorter at the rate eta = 20: over 40"):
+        kalman.smooth([(float(k), [0.1]) for k in range(1, 41)])
+    assert np.isfinite(kalman.smooth([(float(k), [0.1]) for k in range(1, 31)]).x).all()

@@ -66,9 +66,14 @@ def ratio(observed: Array, promised: Array) -> Array:
 
 
 def growth(size: Array, times: Array) -> Array:
-    """Return the largest error of the second half of each run over that of the first, from sizes (r, R) at times."""
+    """Return the largest error of the second half of each run over that of the first, of sizes (r, R, ...) at times."""
     early = times <= times[-1] / 2
     return ratio(size[:, ~early].max(axis=1), size[:, early].max(axis=1))
+
+
+def own_growth(w: Array, times: Array) -> Array:
+    """Return likewise by how much disturbances (r, T, q) grow by themselves, 1 at least: slower than a run, they do."""
+    return np.asarray(growth(np.abs(w), times).max(axis=1, initial=1.0))
 
 
 def monte_carlo(

@@ -23,7 +23,7 @@ from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.apriori_bound import AprioriBound, apriori_bound_of, worst_disturbance, worst_energy
 from sampling_design.validation.error_map import ROUNDED, ErrorMap
-from sampling_design.validation.monte_carlo import MonteCarloTrials, growth, measured, monte_carlo, ratio
+from sampling_design.validation.monte_carlo import MonteCarloTrials, growth, measured, monte_carlo, own_growth, ratio
 from sampling_design.validation.pairs import worst_pair
 from sampling_design.validation.report import ROUNDING, ClaimCheck, ErrorCurve, ExampleRun, ValidationReport
 from sampling_design.validation.scenario import (
@@ -43,7 +43,8 @@ SCENARIOS: tuple[str, ...] = ("pairs", "random", "worst", "resonant", "initial",
 
 GROWTH_LIMIT = {"resonant": 1.5, "initial": 1.0}
 """Largest error of the second half over that of the first: a settled error under a disturbance in step with a mode
-repeats itself (1), one that grows linearly doubles (2); what a wrong prior leaves decays."""
+repeats itself (1), one that grows linearly doubles (2); what a wrong prior leaves decays. Times what a disturbance
+that is slower than the run grows by itself."""
 SETTLED = 3.0  # horizons that a run must last before its growth is judged
 AGREEMENT = 1e-6
 """The real estimator and the linear error map may differ by this share of the largest error: steering an unstable truth
@@ -223,9 +224,10 @@ class ValidationStudy:
         if self.line.rarer:
             self.skipped.append("growth under a resonant disturbance: samples get rarer.")
             return
-        grown, limit = growth(trials.size, self.line.rows.times), GROWTH_LIMIT["resonant"]
-        at = int(np.argmax(grown))
-        note = f"worst: {names[at]}"
+        grown = growth(trials.size, self.line.rows.times)
+        own = own_growth(inputs.w, self.line.times[1:])
+        at = int(np.argmax(grown / own))
+        limit, note = GROWTH_LIMIT["resonant"] * float(own[at]), f"worst: {names[at]}"
         self._find("error does not grow", "resonant disturbance", limit, float(grown[at]), note=note)
 
     def _initial(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:

@@ -170,6 +170,21 @@ def test_growth_along_a_finite_schedule_is_judged_only_over_many_samples():
         assert report.skipped[-1].endswith("12 samples, on a finite schedule it settles in 40.")
 
 
+@pytest.mark.parametrize("by", ["its own", "another"])
+@pytest.mark.parametrize("slow", [1e-9, 1e-3, 0.02])
+def test_growth_of_a_disturbance_that_is_slower_than_the_run_is_none_of_the_estimate(slow, by):
+    """An eigenvalue turns as slowly as rounding has it: its sine is a ramp, and the error follows it."""
+    plant = sd.Plant([[-0.3, slow], [-slow, -0.3]], [[1.0, 0.4]], G=[[1.0], [0.0]])
+    schedule = sd.PeriodicSchedule([1.25])
+    bounds = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 1.0, "runs": 1, "scenarios": ["resonant"]}
+    made = sd.certify(plant, schedule, eta=0.24)
+    report = sd.validate(plant, schedule, made, duration=60.0, **bounds)
+    if by == "another":
+        report = sd.validate(plant, schedule, estimator=sd.KalmanFilter(plant, made), duration=60.0, **bounds)
+    assert report.passed
+    assert "error does not grow" in [check.claim for check in report.checks]
+
+
 @pytest.mark.parametrize("by", few(["its own", "another"], 0))
 def test_growth_is_judged_only_where_samples_get_no_rarer(by):
     """Where gaps get ever longer the error of every estimator grows; in another order of the same gaps none does."""

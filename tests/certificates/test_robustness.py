@@ -113,6 +113,15 @@ def test_nothing_may_survive():
     assert "no timing error and no loss" in found.explain()
 
 
+def test_the_same_samples_in_longer_periods_survive_as_much_with_as_little_work():
+    """Graphs of longer periods took the time of the search, and the radius was half of what it is."""
+    plant, schedules = Plant([[0.1]], [[1.0]]), [PeriodicSchedule([1.0, 1.2] * count) for count in (1, 3)]
+    found = [sd.robustness(plant, sd.certify(plant, each, eta=0.8, P2=[[0.2]]), longest=2) for each in schedules]
+    once, thrice = found
+    assert (thrice.radius, thrice.tolerated) == (once.radius, once.tolerated)
+    assert len(thrice.jittered.graph.words) == len(once.jittered.graph.words)
+
+
 def test_a_budget_that_runs_out_is_said(planned):
     found = sd.robustness(OSCILLATOR, planned, budget=1e-9)
     assert not found.closed

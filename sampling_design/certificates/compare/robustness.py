@@ -255,7 +255,7 @@ class RobustnessSearch:
 
     def _loss_level(self, family: LostSamples) -> int:
         """As much memory as the unknowns allow."""
-        n, period = self.plant.n_states, len(self.certificate.schedule)
+        n, period = self.plant.n_states, len(period_of(family.schedule))
         for level in reversed(range(family.levels_of_memory)):
             words = sum(comb(family.most + level, k) for k in range(family.most + 1))
             if words * period <= MOST_NODES and words * period * n * (n + 1) // 2 <= MOST_UNKNOWNS:
@@ -337,7 +337,7 @@ def robustness(
             raise ArgumentError(f"`certificate` must be one about samples, got {checks.described(certificate)}.")
     schedule = period_of(
         planned.schedule, "`certificate` must be on a PeriodicSchedule: losses and delays are counted without end."
-    )
+    ).primitive()
     if other := first_difference(plant, planned.plant):
         raise ArgumentError(f"`certificate` certifies another plant: {other}.")
     M = planned.horizon().length if horizon is None else checks.positive("horizon", horizon)

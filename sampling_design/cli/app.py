@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from sampling_design.cli.version import show_version
 
@@ -102,10 +102,18 @@ class CommandsWhenCalled(TyperGroup):
         return name, None if command is None else loaded(str(name)), rest
 
     def invoke(self, ctx: Any) -> object:
-        """Call the command; an option that has another name here is named."""
+        """Call the command; an option that has another name here is named, one that takes several values explained."""
+        refusals = import_module(typer.BadParameter.__module__)
         try:
             return super().invoke(ctx)
-        except import_module(typer.BadParameter.__module__).NoSuchOption as error:
+        except (refusals.BadOptionUsage, refusals.BadParameter) as error:
+            named = vars(error).get("option_name") or (error.param and error.param.opts[0])
+            for each in loaded(ctx.invoked_subcommand).params:
+                match each:
+                    case TyperOption(nargs=int(many)) if many > 1 and named in each.opts:
+                        error.message = f"`{named}` takes {many} values, {each.metavar}: {each.help}"
+            raise
+        except refusals.NoSuchOption as error:
             from sampling_design.records.checks import ELSEWHERE
 
             known = {word_of(option): option for each in error.ctx.command.params for option in each.opts}

@@ -60,11 +60,14 @@ NoiseGain = Annotated[
 ]
 Gaps = Annotated[
     tuple[float, float] | None,
-    typer.Option(metavar="A B", help="Every schedule with gaps between A and B [time unit]."),
+    typer.Option(metavar="A B", help="Every schedule with gaps between A and B [time unit]: --gap-range 0.8 1.2."),
 ]
 Spaced = Annotated[
     tuple[float, int, float] | None,
-    typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart [time unit]."),
+    typer.Option(
+        metavar="T K E",
+        help="Every schedule with K samples in each window T, E apart [time unit]: --spaced 5 4 .5.",
+    ),
 ]
 Jittered = Annotated[
     str | None,
@@ -74,7 +77,8 @@ Jittered = Annotated[
     ),
 ]
 Lost = Annotated[
-    tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
+    tuple[int, int] | None,
+    typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost: --lost 1 4."),
 ]
 Detectability = Annotated[bool, typer.Option("--detectability", help="The plant alone, no samples: Theorem 10.")]
 Horizons = Annotated[bool, typer.Option("--horizons", help="Set four horizons of SCHEDULE side by side, too.")]

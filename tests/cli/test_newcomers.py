@@ -182,7 +182,8 @@ LINES = {
     ),
     "more lost than there are": ("certify p.toml s.csv --lost 4 3", "`--lost D`"),
     "no windows": ("certify p.toml --spaced -1 3 0.5", "`--spaced T` must be positive"),
-    "one word for gaps": ("certify p.toml --gap-range 0.5-2", "requires 2 arguments"),
+    "one word for gaps": ("certify p.toml --gap-range 0.5-2", "takes 2 values, A B: Every schedule with gaps between"),
+    "two of three": ("certify p.toml --spaced 5 4", "takes 3 values, T K E: Every schedule with K"),
     "neither schedule nor family": ("certify p.toml", "a plan (plan.json) for PLANT, or a family such as --gap-range"),
     "a plain table as schedule": (
         "sigma p.toml bare.csv",

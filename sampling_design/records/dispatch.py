@@ -17,6 +17,13 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 Result = TypeVar("Result")
 
 RINGS = ("uncertain", "plotting")  # the rings that register; one that is not installed registers nothing
+VERBS = frozenset({
+    "certificate_exists", "certify", "constants_from_proof", "estimate", "guaranteed_accuracy", "picture", "plot",
+    "read_certificate", "read_plant", "validate", "verify_rigorously", "window_sigma", "worst_case_sigma",
+    "zero_count_bound",
+})  # fmt: skip
+"""What is asked of kinds; each is a function that is opened, or a word that a reader or a picture asks with."""
+
 _OFFERED: dict[tuple[str, str], str | Callable[..., object]] = {}
 
 
@@ -40,7 +47,17 @@ def register(verb: str, kind: type | str, does: str | Callable[..., object]) -> 
         A class; its place, "package.module.Class", where it should not be imported yet; or a word of a file.
     does : callable or str
         Takes what the verb takes; or its place, "package.module:function".
+
+    Raises
+    ------
+    ArgumentError
+        If nothing asks for such a verb.
     """
+    if verb not in VERBS:
+        from sampling_design.checkers.strict import likely
+        from sampling_design.errors import ArgumentError
+
+        raise ArgumentError(f"`verb` must be one that is asked of kinds, got {verb!r}. {likely(verb, sorted(VERBS))}")
     _OFFERED[verb, kind if isinstance(kind, str) else _place(kind)] = does
 
 

@@ -398,7 +398,9 @@ def opened(plant: Own, x: float, *, scale: float = 1.0) -> float:
 
 
 def test_an_opened_verb_hands_another_kind_of_plant_to_what_is_registered(monkeypatch):
+    dispatch._ask_rings()  # what they register stays
     monkeypatch.setattr(dispatch, "_OFFERED", dict(dispatch._OFFERED))
+    monkeypatch.setattr(dispatch, "VERBS", dispatch.VERBS | {"opened"})
     assert opened(Own(), 2.0, scale=3.0) == opened(plant=Own(), x=2.0, scale=3.0) == 6.0
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got Other"):
         opened(Other(), 2.0)
@@ -408,7 +410,9 @@ def test_an_opened_verb_hands_another_kind_of_plant_to_what_is_registered(monkey
 
 
 def test_an_opened_verb_checks_the_arguments_of_every_kind(monkeypatch):
+    dispatch._ask_rings()  # what they register stays
     monkeypatch.setattr(dispatch, "_OFFERED", dict(dispatch._OFFERED))
+    monkeypatch.setattr(dispatch, "VERBS", dispatch.VERBS | {"opened"})
     dispatch.register("opened", Other, lambda plant, *placed, **named: None)
     for plant in (Own(), Other()):
         with pytest.raises(ArgumentError, match=r"`x` must be a number, got str 'text'"):

@@ -3,6 +3,7 @@
 Each is what `docs/contributing.md` shows: one class, and a line for each verb that it takes part in.
 """
 
+import re
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -19,6 +20,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimator_choice import estimate
 from sampling_design.records import dispatch
 from sampling_design.schedules.family import OUTWARD, FamilyStep, SamplingFamily
+from tests.house.sources import PACKAGE
 
 # --- a kind of plant: what it is, and a verb at a time what is done about it ------------------------------------------
 
@@ -37,6 +39,7 @@ class Pendulum:
 
 @pytest.fixture
 def pendulum(monkeypatch):
+    dispatch._ask_rings()  # what they register stays
     monkeypatch.setattr(dispatch, "_OFFERED", dict(dispatch._OFFERED))
     for verb in (sd.window_sigma, sd.certify, sd.validate, estimate):
 
@@ -131,6 +134,16 @@ GAIN = [[0.8], [0.5]]
 
 
 # --- all three through the verbs --------------------------------------------------------------------------------------
+
+
+def test_what_is_registered_is_asked_of_kinds_and_nothing_else():
+    """Every function that is opened, and every verb that a reader or a picture asks with, is known before it loads."""
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    opened = re.findall(r"@open_verb\(\w+\)\ndef (\w+)", sources)
+    asked = re.findall(r"(?:offered|registered)\(\"(\w+)\", [a-z]", sources)
+    assert sorted(dispatch.VERBS) == sorted({*opened, *asked})
+    with pytest.raises(ArgumentError, match="one that is asked of kinds, got 'window_sgima'"):
+        dispatch.register("window_sgima", Pendulum, "my_package.sigma:of_pendulum")
 
 
 def test_every_verb_takes_all_three(pendulum):

@@ -182,6 +182,13 @@ def certificate():
     return sd.certify(OSCILLATOR, DayAndNight(0.7, 1.6, 0.1), eta=0.2, P2=np.eye(2))
 
 
+@pytest.mark.parametrize(("table", "key"), [(family_file.FAMILIES, "day-and-night"), (cover.COVERED, Planned)])
+def test_without_an_auditor_nothing_is_certified(monkeypatch, table, key):
+    monkeypatch.delitem(table, key)
+    with pytest.raises(ArgumentError, match="must be of a kind that an auditor reads, got 'day-and-night'"):
+        sd.certify(OSCILLATOR, DayAndNight(0.7, 1.6, 0.1), eta=0.2)
+
+
 def test_it_is_certified_and_its_graph_is_not_trusted(certificate):
     assert certificate.verify().passed
     assert certificate.verify(rigorous=True).passed

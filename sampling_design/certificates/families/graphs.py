@@ -14,11 +14,15 @@ family certificate is this list of inequalities, F_h = e^{(A + eta/2) h}, Phi_h(
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sampling_design.checkers.family_file import Edge
+from sampling_design.checkers.cover import COVERED
+from sampling_design.checkers.family_file import FAMILIES, Edge, family_of
+from sampling_design.checkers.parts import Plant as FilePlant
+from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
@@ -94,7 +98,7 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
     """Return `family` with the schedule that it is built around in the plant's terms.
 
     Raises ArgumentError if it is no family, its unit of time differs, the schedule that it is built around is finite,
-    or its tolerances are those of other outputs.
+    its tolerances are those of other outputs, or no auditor reads its kind.
     """
     if not isinstance(family, SamplingFamily):
         raise ArgumentError(
@@ -109,12 +113,20 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
                 f"tolerances have, got {len(family.by_output) if names is None else ', '.join(names)}."
             )
         planned = align(plant, period_of(family.planned))  # its columns are the plant's outputs, and need no names
-        return family.replanned(
+        family = family.replanned(
             PeriodicSchedule(planned.gaps, planned.first, planned.outputs, time_unit=planned.time_unit)
         )
-    if family.time_unit not in (None, plant.time_unit):
+    elif family.time_unit not in (None, plant.time_unit):
         raise ArgumentError(
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give it in that unit."
+        )
+    judged = family.kind in FAMILIES
+    with suppress(BadFile):  # parameters that its auditor refuses are refused where they are used
+        judged = type(family_of(family.to_dict(), FilePlant(plant.A, plant.C, plant.G, plant.time_unit))) in COVERED
+    if not judged:
+        raise ArgumentError(
+            f"`schedule` must be of a kind that an auditor reads, got {family.kind!r}: another kind needs its entry in "
+            "`FAMILIES` (checkers/family_file.py) and one in `COVERED` (checkers/cover.py)."
         )
     return family
 

@@ -19,6 +19,7 @@ from sampling_design.design.search.local_search import _kick, _ranked, _Refineme
 from sampling_design.design.search.refine import refined
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.budget import ENDLESS
+from tests.oracles.design import is_allowed, random_schedule
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 
@@ -280,3 +281,30 @@ def test_the_share_of_starts_that_lead_to_other_optima():
     assert share(*[2.0] * 8, 2.00001) == 2 / 72
     assert share(*[2.0] * 8, 1.9) == 6 / 72
     assert share(*[2.0] * 8, abandoned=1) == 6 / 72
+
+
+INTEGRATORS = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+
+
+@pytest.mark.parametrize(("window", "period"), [(1.0, 5.0), (2.5, 2.0)])
+def test_schedules_that_miss_a_state_are_told_apart_by_how_long_they_do(window, period):
+    hours = problem(plant=INTEGRATORS, window=window, period=period, spacing=0.1, samples=4)
+    rng = np.random.default_rng(0)
+    for times in (random_schedule(rng, period, 0.1, 4) for _ in range(5)):
+        starts = (np.arange(4000) + 0.5) * period / 4000
+        every = (times[:, None] + period * np.arange(4)).ravel()
+        held = np.sum((every > starts[:, None]) & (every <= starts[:, None] + window), axis=1)
+        graded = worst_sigma2(hours, times[None], graded=True)[0]
+        if np.all(held >= 2):
+            assert graded == worst_sigma2(hours, times[None])[0] > 0
+        else:  # two samples show position and velocity, and one does not
+            assert graded == pytest.approx(-np.mean(held < 2), abs=4e-3)
+
+
+@pytest.mark.parametrize("closed", [[[3.83, 4.3], [4.56, 4.8]], [[2.54, 2.77], [3.95, 4.32]]])
+def test_where_random_schedules_see_no_state_others_are_led_until_they_do(closed):
+    hours = problem(plant=INTEGRATORS, window=1.0, period=5.0, spacing=0.1, samples=11, forbidden=np.array(closed))
+    found = search(hours, relax_placed(hours), np.random.default_rng(1), starts=1)
+    assert found.sigma > 0
+    assert "restart" in {trial.start for trial in found.trials}
+    assert is_allowed(found.times, 5.0, 0.1, closed)

@@ -152,23 +152,35 @@ def window_grams(problem: DesignProblem, times: Array, where: WindowPositions, u
     return SlidingSums(problem.rows, times, mask, problem.period).at(where.at, where.left)
 
 
-def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mask | None = None) -> Array:
-    """Least sigma^2 over the positions, for each schedule (B, k) of sorted times; `used` as for `window_grams`."""
-    if problem.orthogonal_flow is None or not times.size:
-        return _worst_of_positions(problem, times, inner, used)
+def worst_sigma2(
+    problem: DesignProblem, times: Array, inner: int = 1, used: Mask | None = None, graded: bool = False
+) -> Array:
+    """Least sigma^2 over the positions, for each schedule (B, k) of sorted times; `used` as for `window_grams`.
+
+    `graded` tells apart those of which it is 0, with `inner` 1: less the share of window starts that miss a state.
+    """
+    if problem.orthogonal_flow is None or not times.size or graded:
+        return _worst_of_positions(problem, times, inner, used, graded)
     result, sure = problem.orthogonal_flow.worst(times, problem.measured(times) if used is None else used)
     if not sure.all():
         result[~sure] = _worst_of_positions(problem, times[~sure], inner, None if used is None else used[~sure])
     return result
 
 
-def _worst_of_positions(problem: DesignProblem, times: Array, inner: int, used: Mask | None) -> Array:
+def _worst_of_positions(
+    problem: DesignProblem, times: Array, inner: int, used: Mask | None, graded: bool = False
+) -> Array:
     """The same for any plant, a few positions in every gap."""
     result = np.empty(times.shape[0])
     chunk = max(1, BATCH_NUMBERS // (times.shape[1] * (12 + 4 * inner) * problem.plant.n_states**2))
     for low in range(0, times.shape[0], chunk):
         part = times[low : low + chunk]
         mask = None if used is None else used[low : low + chunk]
-        sigma2 = problem.rows.least_sigma2(window_grams(problem, part, positions(problem, part, inner), mask))
+        where = positions(problem, part, inner)
+        sigma2 = problem.rows.least_sigma2(window_grams(problem, part, where, mask))
         result[low : low + chunk] = sigma2.min(axis=1)
+        if graded:  # between two events all windows hold the same samples
+            lengths = where.at[:, where.left] - where.at[:, where.share == 0]
+            missed = np.where(sigma2[:, where.share == 0.5] > 0, 0.0, lengths)
+            result[low : low + chunk] -= missed.sum(axis=1) / problem.period
     return result

@@ -19,7 +19,7 @@ from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import ENDLESS, Budget
+from sampling_design.records.budget import Budget
 
 _LEADS = 6  # turns of a period that repair tries
 
@@ -176,9 +176,12 @@ def is_admissible(problem: DesignProblem, times: Array) -> bool:
 
 
 def exchanged(
-    problem: DesignProblem, times: Array, sigma2: float, count: int, rounds: int = 3, budget: Budget = ENDLESS
+    problem: DesignProblem, times: Array, sigma2: float, count: int, rounds: int, budget: Budget, graded: bool = False
 ) -> tuple[Array, float]:
-    """Move one sample at a time to its best admissible place on a grid of `count`, until nothing improves."""
+    """Move one sample at a time to its best admissible place on a grid of `count`, until nothing improves.
+
+    `graded` as for `worst_sigma2`, and so is `sigma2`.
+    """
     for _ in range(rounds):
         before = sigma2
         for i in range(times.size):
@@ -189,12 +192,12 @@ def exchanged(
             if not places.size:
                 continue
             trial = np.sort(np.concatenate([np.tile(others, (places.size, 1)), places[:, None]], axis=1), axis=1)
-            values = worst_sigma2(problem, trial, inner=0)
+            values = worst_sigma2(problem, trial, inner=int(graded), graded=graded)
             top = int(np.argmax(values))
-            if values[top] > sigma2 * (1 + 1e-9):
-                exact = float(worst_sigma2(problem, trial[top : top + 1])[0])
+            if values[top] > sigma2 + 1e-9 * abs(sigma2):
+                exact = float(worst_sigma2(problem, trial[top : top + 1], graded=graded)[0])
                 if exact > sigma2:
                     times, sigma2 = trial[top], exact
-        if sigma2 <= before * (1 + 1e-4):
+        if sigma2 <= before + 1e-4 * abs(before):
             break
     return times, sigma2

@@ -57,8 +57,8 @@ _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 _TIE = 1e-9  # likewise: less is rounding, and the schedule that was found first stays
 FIRST_STEPS = 12  # of that first refinement
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
-_RESTARTS = 20  # batches of further random schedules where all others are blind
-_SEEING = 3  # of a batch, the best ones that are refined
+_LED_TO_SEE, _PLACES_TO_SEE, _ROUNDS = 6, 48, 8
+"""Where all starts are blind: how many others are led on, over how many places of each sample, how often at most."""
 _EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in proportion to its samples
 
 
@@ -328,20 +328,21 @@ def _kicked(problem: DesignProblem, times: Array, rng: np.random.Generator) -> A
 
 
 def _restart(run: _Refinement, rng: np.random.Generator) -> None:
-    """Where every start is blind and stays so: many more random schedules, until some see every state."""
+    """Where every start is blind and stays so: of more random schedules the best ones, led until every state is seen.
+
+    One sample after the other goes where the fewest windows miss a state.
+    """
     problem = run.problem
     size = problem.samples - problem.fixed.size
-    for _ in range(_RESTARTS):
-        if run.is_over or size == 0:
+    drawn = [at_shares(problem, rng.uniform(size=size)) for _ in range(DRAWS if size else 0)]
+    pool = np.array([t for t in drawn if t is not None and is_admissible(problem, t)]).reshape(-1, problem.samples)
+    values = worst_sigma2(problem, pool, graded=True)
+    for i in np.argsort(-values, kind="stable")[:_LED_TO_SEE]:
+        if run.is_over or run.value > 0:
             return
-        drawn = [at_shares(problem, rng.uniform(size=size)) for _ in range(DRAWS)]
-        pool = np.array([t for t in drawn if t is not None and is_admissible(problem, t)]).reshape(-1, problem.samples)
-        values = worst_sigma2(problem, pool)
-        for i in np.argsort(-values, kind="stable")[:_SEEING]:
-            if values[i] > 0:
-                run.refine("restart", pool[i], float(values[i]))
-        if run.value > 0:
-            return
+        t, value = exchanged(problem, pool[i], float(values[i]), _PLACES_TO_SEE, _ROUNDS, run.budget, graded=True)
+        if value > 0:
+            run.refine("restart", t, value)
 
 
 def _places(problem: DesignProblem) -> int:

@@ -218,7 +218,7 @@ def pareto(
 
     Example: sampling-design pareto examples/plants/oscillator.toml --counts 2-8 -o out
     """
-    from sampling_design.design.pareto import NO_NEED, NO_TIME
+    from sampling_design.design.pareto import NO_NEED
 
     plant = files.plant(plant_file)
     requirement, folder = _required(settings, requirement_file), settings.folder()
@@ -233,7 +233,7 @@ def pareto(
     settings.draw(front, "pareto")
     settings.show(front.to_dict(), record_table(front), front.explain())
     if not front.efficient and not any(point.obstacle == NO_NEED for point in front.points):
-        undecided = any(point.upper_bound > 0 or point.obstacle == NO_TIME for point in front.points)
+        undecided = any(point.upper_bound > 0 for point in front.points)
         raise typer.Exit(3 if undecided else 1)
 
 

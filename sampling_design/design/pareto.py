@@ -47,7 +47,7 @@ _POINTS = list_of(
     table(
         {
             "samples": count,
-            **dict.fromkeys(("sigma", "upper_bound"), nonnegative),
+            **dict.fromkeys(("sigma", "upper_bound"), or_nothing(nonnegative)),
             "times": list_of(number),
             "obstacle": text,
         },
@@ -58,7 +58,10 @@ _POINTS = list_of(
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """One count of samples: proven sigma, the bound that none can beat, and the times; sigma 0 where impossible.
+    """One count of samples: proven sigma, the bound that none can beat, and the times.
+
+    Both are 0 where that is impossible and infinite where no samples are needed; where nothing was designed the bound
+    is infinite, as nothing is known.
 
     `deviations` says what is left of sigma if samples come early or late or one is lost, `coordinates` which ones all
     of these refer to ("" where there is no design).
@@ -97,7 +100,7 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
         """The points that no smaller count reaches or exceeds."""
         kept: list[ParetoPoint] = []
         for point in self.points:
-            if point.sigma > max((p.sigma for p in kept), default=0.0):
+            if point.times and point.sigma > max((p.sigma for p in kept), default=0.0):
                 kept.append(point)
         return tuple(kept)
 
@@ -245,7 +248,7 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
     """One count, in its share of the time that is left; an impossible one is a point that says why."""
     plant, requirement, count, options, budget, rounds = job
     if np.isfinite(budget.seconds) and budget.left < _LEAST_SHARE * budget.seconds / rounds:
-        return ParetoPoint(count, 0.0, 0.0, (), NO_TIME)
+        return ParetoPoint(count, 0.0, np.inf, (), NO_TIME)
     if np.isfinite(budget.seconds):
         options = {**options, "budget": budget.left / rounds}
     options = {key: copy.deepcopy(value) for key, value in options.items()}  # threads share what they were given
@@ -257,7 +260,7 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
     if design.status == "interrupted":  # ends the front: what is finished is in `resume`
         raise KeyboardInterrupt
     if design.schedule is None:
-        return ParetoPoint(count, 0.0, 0.0, (), NO_NEED)
+        return ParetoPoint(count, design.sigma, design.upper_bound, (), NO_NEED)
     obstacle_found = "" if design.sigma > 0 else design.explain()
     times = tuple(design.schedule.times.tolist())
     return ParetoPoint(
@@ -295,4 +298,5 @@ def _read(entry: Tree) -> ParetoPoint:
     left = entry.get("deviations")
     if left is not None:
         left = SigmaDeviations(**{**left, "tolerance": TimingTolerance.of(left["tolerance"])})
-    return ParetoPoint(**{**entry, "times": tuple(entry["times"]), "deviations": left})
+    infinite = {key: np.inf for key in ("sigma", "upper_bound") if entry[key] is None}
+    return ParetoPoint(**{**entry, **infinite, "times": tuple(entry["times"]), "deviations": left})

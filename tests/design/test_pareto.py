@@ -3,10 +3,12 @@
 import json
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, pareto_front
 from sampling_design.checkers.parts import digest
+from sampling_design.design.pareto import NO_TIME
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.record import below
 
@@ -57,6 +59,16 @@ def test_a_file_is_resumed_and_not_designed_again(tmp_path):
     assert front.points[1].sigma > 0.5
     assert len(messages) == 1
     assert len(json.loads(path.read_text())["points"]) == 2
+
+
+def test_what_needs_no_samples_and_what_was_not_designed_have_no_finite_bound(tmp_path):
+    decaying, wanted, path = Plant([[-1.0]], [[1.0]]), REQUIREMENT.replace(decay_rate=0.5), tmp_path / "front.json"
+    for _ in range(2):  # the second time from the file
+        front = pareto_front(decaying, wanted, [2, 3], resume=path)
+        assert [(p.sigma, p.upper_bound) for p in front] == [(np.inf, np.inf)] * 2
+        assert front.explain() == "No samples needed."
+    (late,) = pareto_front(PLANT, REQUIREMENT, [3], budget=1e-9)
+    assert (late.sigma, late.upper_bound, late.obstacle) == (0.0, np.inf, NO_TIME)
 
 
 def test_a_file_of_another_requirement_is_refused(tmp_path):

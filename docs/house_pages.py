@@ -5,6 +5,7 @@
 * **Solution.** begins a part that stays folded until the next exercise.
 * A picture that a cell has drawn gets an alternative text: the heading it stands under, and what its axes say.
 * A command that is longer than its line breaks between words, and not within an option or a date.
+* What a cell prints in columns scrolls sideways; other text goes on below.
 * "theory 3.1" and "E4" in a docstring lead to the theory.
 """
 
@@ -19,6 +20,7 @@ ERRATUM = re.compile(r"E\d+ ")
 PROOF = re.compile(r"Proof\b")
 NUMBER = re.compile(r"(\d+(?:\.\d+)*)\s")
 
+COLUMNS = re.compile(r"\S {2,}\S")
 LONGEST_WORD = 60  # characters of a command's word that is shown unbroken: a longer one may be wider than a page
 
 
@@ -175,10 +177,29 @@ def _short(html):
     return 0 < len(re.sub(r"<[^>]*>", "", html)) <= LONGEST_WORD
 
 
-def unbroken_commands(app, pagename, templatename, context, doctree):
-    """Show the commands of a page with whole words."""
+def kept_columns(body):
+    """Name the output of cells that stands in columns: two lines or more with a gap of two blanks inside."""
+
+    def block(found):
+        lines = re.sub(r"<[^>]*>", "", found[2]).splitlines()
+        return (
+            found[1]
+            + ('<pre class="columns">' if sum(map(bool, map(COLUMNS.search, lines))) > 1 else "<pre>")
+            + found[2]
+        )
+
+    return re.sub(
+        r'(<div class="output (?:stream|text_plain)\b[^>]*><div class="highlight">)<pre>(.*?)(?=</pre>)',
+        block,
+        body,
+        flags=re.S,
+    )
+
+
+def lines_as_they_are_read(app, pagename, templatename, context, doctree):
+    """Show the commands of a page with whole words, and what is printed in columns in columns."""
     if "body" in context:
-        context["body"] = whole_words(context["body"])
+        context["body"] = kept_columns(whole_words(context["body"]))
 
 
 def section_labels(theory):
@@ -211,5 +232,5 @@ def setup(app):
     app.connect("doctree-read", boxes)
     app.connect("doctree-read", solutions)
     app.connect("doctree-read", alternative_texts)
-    app.connect("html-page-context", unbroken_commands)
+    app.connect("html-page-context", lines_as_they_are_read)
     return {"parallel_read_safe": True}

@@ -106,10 +106,12 @@
 
   // ---- what a cell shows
   const plain = (text) => text.replace(/\x1b\[[0-9;]*[A-Za-z]/g, "").replace(/^.*\r(?!\n)/gm, "");
+  const scrolled = (shown) => shown.classList.toggle("columns", (shown.textContent.match(/\S {2,}\S.*\n/g) || []).length > 1);
   const pre = (kind, text) => {
     const node = make("div", "", { class: `output ${kind} highlight-myst-ansi` }); // as the page was built
     node.append(make("div", "", { class: "highlight" }));
     node.firstChild.append(make("pre", text));
+    scrolled(node.querySelector("pre"));
     return node;
   };
   const picture = (source, label) => make("img", "", { src: source, alt: label });
@@ -161,7 +163,7 @@
       else if (type === "stream") {
         const [kept, last] = cut(plain(content.text));
         const before = output.lastElementChild;
-        if (before && before.matches(`.${content.name}`)) before.querySelector("pre").append(kept);
+        if (before && before.matches(`.${content.name}`)) before.querySelector("pre").append(kept), scrolled(before.querySelector("pre"));
         else if (kept) put(pre(`stream ${content.name}`, kept));
         if (last) put(make("p", `The rest is not shown: a cell shows ${LONGEST} characters of text.`));
       }
@@ -236,7 +238,8 @@
     shown.after(code);
     node.querySelector(".cell_input").append(tools);
 
-    const cell = { node, name, ran: null, code, output };
+    // what it shows is of the code `shown`, of run `at` (0: of the page); in run `changed` that became another one
+    const cell = { node, name, ran: null, code, output, shown: original, at: 0, changed: 0, stale: false };
     cell.mark = (ran, words) => {
       cell.ran = ran;
       count.textContent = words;
@@ -252,6 +255,7 @@
       back.hidden = code.value === original;
       node.classList.toggle("live-changed", cell.ran !== null && cell.ran !== code.value);
       keep(original, code.value);
+      judge();
     });
     code.addEventListener("keydown", (event) => {
       const before = code.value.slice(0, code.selectionStart);
@@ -267,6 +271,17 @@
     return cell;
   }
 
+  // mark the cells whose output is older than a change of one above
+  let runs = 0;
+  function judge() {
+    let latest = 0;
+    cells.forEach((cell) => {
+      cell.stale = latest > cell.at;
+      cell.node.classList.toggle("live-stale", cell.stale);
+      latest = cell.code.value === cell.shown ? Math.max(latest, cell.changed) : Infinity;
+    });
+  }
+
   // run a cell, and before it those above that have not run as they stand; stop where one fails
   let line = Promise.resolve();
   let stopped = 0;
@@ -274,7 +289,7 @@
     const mine = stopped;
     const asked = cells.slice(0, cells.indexOf(last) + 1);
     line = line.then(async () => {
-      const todo = asked.filter((cell) => all || cell === last || cell.ran !== cell.code.value);
+      const todo = asked.filter((cell) => all || cell === last || cell.stale || cell.ran !== cell.code.value);
       todo.forEach((cell) => cell.mark(null, "waits"));
       try {
         if (mine === stopped && !kernel) await start();
@@ -297,6 +312,9 @@
       throw why;
     });
     show.end();
+    cell.at = ++runs;
+    if (code !== cell.shown) cell.changed = runs;
+    cell.shown = code;
     cell.mark(code, reply.execution_count ? `[${reply.execution_count}]` : "");
     const well = reply.status === "ok";
     for (const steps of well ? cell.output.querySelectorAll("[data-slider]") : []) await steps.draw();
@@ -340,6 +358,7 @@
     if (exercises) exercises.append(own), nodes.push(own);
     nodes.sort((a, b) => (a.compareDocumentPosition(b) & Node.DOCUMENT_POSITION_FOLLOWING ? -1 : 1));
     cells = nodes.map((node, k) => liven(node, k + 1));
+    judge();
     bar.append(
       button("Run all", () => runTo(cells[cells.length - 1], true)),
       button("Interrupt", interrupt),

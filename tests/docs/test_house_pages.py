@@ -98,6 +98,16 @@ def test_no_heading_holds_tex():
     assert found == []
 
 
+def test_what_is_printed_in_columns_scrolls(house):
+    cell = '<div class="output {} notranslate"><div class="highlight"><pre><span></span>{}</pre></div></div>'
+    table, prose = "Plan\n  what   a plan\n  <b>cost</b>   3\n", "One sentence.  And\nanother: it goes on below.\n"
+    for kind in ("stream highlight-myst-ansi", "text_plain"):
+        assert '<pre class="columns">' in house.kept_columns(cell.format(kind, table))
+        assert house.kept_columns(cell.format(kind, prose)) == cell.format(kind, prose)
+    typed = cell.format("cell_input", table)
+    assert house.kept_columns(typed) == typed
+
+
 def test_a_command_breaks_between_its_words_only(house):
     space, head = '<span class="w"> </span>', '<div class="highlight-sh notranslate"><div class="highlight"><pre>'
     day = '<span class="m">7</span>-22'
@@ -108,7 +118,7 @@ def test_a_command_breaks_between_its_words_only(house):
     python = body.replace("highlight-sh", "highlight-python")
     assert house.whole_words(python) == python
     context = {"body": body}
-    house.unbroken_commands(None, "index", "page.html", context, None)
+    house.lines_as_they_are_read(None, "index", "page.html", context, None)
     assert context == {"body": shown}
-    house.unbroken_commands(None, "search", "search.html", empty := {}, None)
+    house.lines_as_they_are_read(None, "search", "search.html", empty := {}, None)
     assert empty == {}

@@ -124,7 +124,7 @@ class SigmaBracket(PlainRecord):
     rigorous: bool = field(default=False, kw_only=True)
     beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
-    _good = "sigma at least {_at_least}, {_attained} ({coordinates} coordinates, state at the window's start)"
+    _good = "sigma at least {_at_least}, {_value_attained} ({coordinates} coordinates, state at the window's start)"
     _balls = "`rigorous=True` proves `lower` in ball arithmetic; {at} attains `upper`"
 
     @cached_property
@@ -156,7 +156,7 @@ class SigmaBracket(PlainRecord):
     def _at_least(self) -> str:
         return "0, undecided" if self._is_undecided else below(self.lower)
 
-    def _attained(self) -> str:
+    def _value_attained(self) -> str:
         if self._is_undecided and np.isinf(self.upper):
             return "none is attained yet"
         return f"{above(self.upper)} is attained"
@@ -174,12 +174,12 @@ class SigmaBracket(PlainRecord):
         """
         if self._is_undecided and self.status in reasons:
             return (
-                f"Nothing is proven yet, whether sigma is positive is undecided: {self._attained()}, and "
+                f"Nothing is proven yet, whether sigma is positive is undecided: {self._value_attained()}, and "
                 f"{reasons[self.status]}. {where}."
             )
-        reached = f" and {self._attained()}"
+        reached = f" and {self._value_attained()}"
         if self.status in reasons:
-            reached = f"; {self._attained()}, and {reasons[self.status]}"
+            reached = f"; {self._value_attained()}, and {reasons[self.status]}"
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
         return f"{claim}{reached}. {where}.{left}"
 

@@ -1,5 +1,7 @@
 """What a design says it keeps if samples are late or lost is what the schedules themselves prove."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,13 @@ def test_times_that_were_asked_for_are_not_named_twice():
     assert text.count("0.05 s early or late") == 2  # what it is about, and how samples come
     assert "if up to" not in text
     assert "if one sample is lost" in text
+
+
+def test_what_is_left_takes_as_many_seconds_as_the_search_was_given(design, monkeypatch):
+    short = sd.design_schedule(OSCILLATOR, design.requirement, starts=1, branches=0, budget=50.0)
+    assert (design.seconds, short.seconds) == (np.inf, 50.0)
+    monkeypatch.setattr("sampling_design.observability.windows.window_sigma.sigma_of_pieces", None)  # nothing is judged
+    assert replace(design, seconds=0.0).deviations is None
 
 
 def test_nothing_is_said_where_nothing_is_observed():

@@ -106,6 +106,8 @@ def affordable(
     best: tuple[float, Array, Mask] | None = None
     trials = list(found.trials)
     for name, times in starts:
+        if best is not None and budget.over:
+            break
         chosen = thinned(problem, times, budget)
         if chosen is None:
             continue
@@ -120,7 +122,7 @@ def affordable(
         trials.append(_trial(name, before, after))
         if best is None or after > best[0]:
             best = after, times, chosen
-    for times, chosen in _promising(problem, [times for _, times in starts]):
+    for times, chosen in [] if budget.over else _promising(problem, [times for _, times in starts]):
         if best is not None and (best[0] >= enough**2 or budget.over):
             break
         before = float(worst_sigma2(problem, times[None], used=chosen[None])[0])

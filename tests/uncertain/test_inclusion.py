@@ -464,6 +464,8 @@ def test_no_gap_at_all_is_undecided():
     )
     with pytest.raises(UndecidedError, match="undecided: no gap of at least"):
         longest_gap(blind, eta=0.1, most=1.0, pieces=2)
+    with pytest.raises(UndecidedError, match=r"at rate 0\.02 within `budget` = 1e-06 s"):
+        longest_gap(UNCERTAIN, eta=0.02, most=2.9, budget=1e-6)
 
 
 def test_the_record_and_its_picture(certificate):

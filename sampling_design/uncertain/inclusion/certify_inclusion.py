@@ -363,12 +363,13 @@ def longest_gap(
         if high < low * CLOSE:
             break
     for factor in (1.0, 0.997, 0.99, 0.97, 0.93, 0.8, 0.5):
-        made, _ = search(float(f"{low * factor:.4g}"), given).proven(rate, count, given)
+        last = search(float(f"{low * factor:.4g}"), given)
+        made, _ = last.proven(rate, count, given)
         if made is not None:
             return made
-        if given.over:
+        if ended := given.over or last.refused == NO_TIME:
             break
-    late = f" within `budget` = {short(given.seconds)} s" if given.over else ""
+    late = f" within `budget` = {short(given.seconds)} s" if ended else ""
     raise UndecidedError(
         f"undecided: no gap of at least {low / 2:.3g} was proven at rate {short(rate)}{late}.", eta=rate
     )

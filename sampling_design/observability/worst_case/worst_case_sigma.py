@@ -50,7 +50,7 @@ from sampling_design.schedules.spaced_windows import SpacedWindows
 
 MOST_MEMORY = 2.0  # GiB that a search over the times of all samples may take
 _PROOF = 0.25  # of the budget: what the proof has in any case, however long a busy machine took for the search
-LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
+LEAST_SEARCH = 0.1  # seconds for the attained bound even where the budget is spent: without it nothing is said
 APART = 2.0**10  # units of states that doubles take as they are
 RTOL = 0.01  # default width of the bracket, relative
 _PICTURE = 401  # points of the profile

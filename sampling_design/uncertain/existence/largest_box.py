@@ -219,7 +219,7 @@ def _level(model: BoxModel, u: Array) -> Array:
     """The share of the ranges, counted from the nominal values, at which each u lies."""
     start, off = model.start, u - model.start
     up, down = np.where(start < 1, 1 - start, 1.0), np.where(start > -1, 1 + start, 1.0)
-    return np.asarray(np.max(np.where(off > 0, off / up, -off / down), axis=1, initial=0.0))
+    return np.asarray(np.max(np.where(off > 0, off / up, -off / down), axis=1, initial=0.0) + 0.0)
 
 
 def _searched(

@@ -41,7 +41,7 @@ from sampling_design.uncertain.observability.worst_case_balls import (
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 RTOL = 0.1  # default width of the bracket, relative
-BESIDE = 4.0  # times what the bracket took: what late and lost samples leave may take that
+BESIDE, LEAST_BESIDE = 4.0, 1.0  # times what the bracket took, of so many seconds: what late and lost samples may take
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,7 +171,7 @@ def worst_case_over_box(
 
     settled: list[BoxCells] = []
     found = _searched(model, family, late, tolerance, clock, one, settled)
-    left = min(clock.left, BESIDE * max(clock.spent, LEAST_SEARCH))
+    left = min(clock.left, BESIDE * max(clock.spent, LEAST_BESIDE))
     if rigorous and found.status != "interrupted":
         from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
 

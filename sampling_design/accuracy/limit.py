@@ -8,9 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import GainSearch
+from sampling_design.accuracy.sampled_system import periodic_system
+from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import GOLDEN, OTHER_STATES, DetectablePart, known_part, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError, UndecidedError
@@ -37,6 +39,9 @@ NODES = 512  # nodes that an adversary may last
 CROWDED = 160  # nodes of one period, all zones together
 SCALINGS = 80  # halvings and doublings of the time constant after which a step that settles is given up
 SHALLOW = 32  # nodes of the first trajectory
+TRIED = (
+    4  # adversaries that are made to keep their bounds between nodes, at most: one may shrink less than a stronger one
+)
 OFFSETS = 5  # offsets of the longest gap between zones that are looked at first
 ON_EDGE = 1e-9  # share of the times at hand within which the end of a gap and that of a zone are one
 
@@ -193,19 +198,19 @@ def accuracy_limit(
     witnesses: list[AccuracyWitness | None] = [None] * len(rows)
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    nothing = bool(np.any(one.v == 0) or not np.any(one.w))  # what nothing drives stays at rest
-    for k in safe:
-        if not nothing:
-            row = rows.matrix[k] @ known.lift
-            try:
-                witnesses[k], phases[k] = _strongest(known.plant, row, one, allowed, span, tolerance, limit)
-            except UndecidedError:
-                raise UndecidedError(
-                    "undecided: the disturbances are so weak beside the noise, or what is not measured grows so far "
-                    f"between allowed times, that the adversary cannot be followed in doubles. {OTHER_STATES}"
-                ) from None
-        witness = witnesses[k]
-        lower[k] = 0.0 if witness is None else witness.value
+    lower[safe] = 0.0
+    if safe and np.all(one.v > 0) and np.any(one.w):  # what nothing drives stays at rest
+        wanted = rows.matrix[safe] @ known.lift
+        try:
+            strongest = _strongest(known.plant, wanted, one, allowed, span, tolerance, limit)
+        except UndecidedError:
+            raise UndecidedError(
+                "undecided: the disturbances are so weak beside the noise, or what is not measured grows so far "
+                f"between allowed times, that the adversary cannot be followed in doubles. {OTHER_STATES}"
+            ) from None
+        for k, (witness, phase) in zip(safe, strongest, strict=True):
+            witnesses[k], phases[k] = witness, phase
+            lower[k] = 0.0 if witness is None else witness.value
     return AccuracyLimit(
         plant, rows, one, allowed, span, freeze(lower), tuple(witnesses), freeze(phases), unknown=known.modes,
         closed=not limit.over,
@@ -273,7 +278,7 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
     """A step over which the filter's fastest error shrinks by about a quarter."""
     step = _time_constant(plant)
     for _ in range(SCALINGS):
-        system, _ = _question(plant, bounds, np.zeros(1), step).filter_bounds(plant)
+        system = periodic_system(plant, np.array([step]), _question(plant, bounds, np.zeros(1), step).bounds)
         sample, F = system.samples[0], system.gaps[0].F
         passed = F @ (np.eye(len(F)) - sample.K @ sample.H)
         fastest = float(np.min(np.abs(np.linalg.eigvals(passed))))
@@ -290,25 +295,26 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
 
 
 def _strongest(
-    plant: Plant, row: Array, bounds: SignalBounds, allowed: Array | None, period: float, rtol: float, limit: Budget
-) -> tuple[AccuracyWitness | None, float]:
-    """The strongest witness over finer and finer nodes, and its phase."""
-    best: tuple[AccuracyWitness | None, float] = None, 0.0
-    step = _step(plant, bounds, allowed, period)
+    plant: Plant, rows: Array, bounds: SignalBounds, allowed: Array | None, period: float, rtol: float, limit: Budget
+) -> list[tuple[AccuracyWitness | None, float]]:
+    """The strongest witness of each row over finer and finer nodes, and its phase; one against a row serves others."""
+    best: list[tuple[AccuracyWitness | None, float]] = [(None, 0.0)] * len(rows)
+    step, left = _step(plant, bounds, allowed, period), list(range(len(rows)))
     for halving in range(HALVINGS):
-        if limit.over:
-            break
         nodes, span = _nodes(allowed, period, step)
-        if nodes.size > 2 * CROWDED and halving:
+        if not left or (halving and (limit.over or nodes.size > 2 * CROWDED)):
             break
         question = _question(plant, bounds, nodes, span)
-        found, phase, factor = _adversary_in_gap(
-            GainSearch(*question.filter_bounds(plant), budget=limit), question, row, allowed, period, rtol
-        )
-        if found is not None and (best[0] is None or found.value > best[0].value):
-            best = found, phase
-        if factor <= 1 + rtol / 2:
-            break
+        system = periodic_system(plant, np.diff(nodes, append=question.end), question.bounds)
+        unbounded = BoundedDirections(np.zeros((plant.n_states, 0)), np.zeros(0))  # nothing is asked of gains
+        search = GainSearch(system, [unbounded] * nodes.size, budget=limit)
+        for k in tuple(left):
+            found, phase, factor = _adversary_in_gap(search, question, rows[k], allowed, period, rtol)
+            known = best[k][0]
+            if found is not None and (known is None or found.value > known.value):
+                best[k] = found, phase
+            if factor <= 1 + rtol / 2:
+                left.remove(k)
         step /= 2
     return best
 
@@ -316,36 +322,51 @@ def _strongest(
 def _adversary_in_gap(
     search: GainSearch, question: AccuracyQuestion, row: Array, allowed: Array | None, period: float, rtol: float
 ) -> tuple[AccuracyWitness | None, float, float]:
-    """A witness that is admissible at all allowed real times, its phase, and by how much it had to shrink for it."""
+    """A witness that is admissible at all allowed real times, its phase, and by how much it had to shrink for it.
+
+    Once the budget is spent: of those against other rows, if there is any.
+    """
     found = search.opened(row)
-    j = int(np.argmax([gap.length for gap in search.system.gaps]))
-    at, search.deep, before = 0, SHALLOW, 0.0
-    if allowed is not None:
-        last = found.opened[j].d.size - 1
-        tries = [last * k // OFFSETS for k in range(1, OFFSETS + 1)]
-        for offset in tries:
-            search.both_sides(j, found.opened[j].mu[offset], rough=True)
-        at = int(np.argmax(search.attained(found, j)))
-    while True:
-        search.both_sides(j, found.opened[j].mu[at])
-        now = float(search.attained(found, j)[at])
-        if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES or search.budget.over:
-            break
-        before = now
-        search.deep *= 2
+    if not search.budget.over or not any(search.adversaries):
+        _seek(search, found, allowed is not None, rtol)
     choices = []
     for k, opened in found.opened.items():
         for adversary in search.adversaries[k]:
             values = np.abs(opened.mu @ adversary.end) + opened.below
             place = 0 if allowed is None else int(np.argmax(values))
             choices.append((float(values[place]), place, adversary))
-    _, place, adversary = max(choices, key=lambda choice: choice[0])
-    trajectory = physical(row, found.opened[adversary.sample], adversary, place)
-    trajectory, phase = replace(trajectory, last=0), float(question.nodes[adversary.sample])
-    value, excess = _kept(trajectory, phase, question.bounds, allowed, period)
-    if not value > 0 or not np.isfinite(excess):
-        return None, 0.0, np.inf if value > 0 else 1.0
-    return replace(trajectory.within(excess, value), last=0), phase, max(excess, 1.0)
+    best: tuple[AccuracyWitness | None, float, float] = None, 0.0, 1.0
+    for top, place, adversary in sorted(choices, key=lambda choice: -choice[0])[:TRIED]:
+        if best[0] is not None and (top <= best[0].value or search.budget.over):
+            break
+        trajectory = physical(row, found.opened[adversary.sample], adversary, place)
+        trajectory, phase = replace(trajectory, last=0), float(question.nodes[adversary.sample])
+        value, excess = _kept(trajectory, phase, question.bounds, allowed, period)
+        if best[0] is None and value > 0 and not np.isfinite(excess):
+            best = None, 0.0, np.inf
+        elif value > 0 and (best[0] is None or value / max(excess, 1.0) > best[0].value):
+            best = replace(trajectory.within(excess, value), last=0), phase, max(excess, 1.0)
+    return best
+
+
+def _seek(search: GainSearch, found: RowSearch, zoned: bool, rtol: float) -> None:
+    """Seek adversaries after the node of the longest gap, from more and more samples back while that helps."""
+    j = int(np.argmax([gap.length for gap in search.system.gaps]))
+    at, search.deep, before = 0, SHALLOW, 0.0
+    if zoned:
+        last = found.opened[j].d.size - 1
+        for k in range(1, OFFSETS + 1):
+            search.attack(j, found.opened[j].mu[last * k // OFFSETS], rough=True)
+            if search.budget.over:
+                return
+        at = int(np.argmax(search.attained(found, j)))
+    while True:
+        search.attack(j, found.opened[j].mu[at])
+        now = float(search.attained(found, j)[at])
+        if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES or search.budget.over:
+            break
+        before = now
+        search.deep *= 2
 
 
 def _kept(

@@ -169,7 +169,13 @@ class GainSearch:
         return gains
 
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
-        """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept.
+        """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
+        found, adversary = self.attack(j, mu, rough)
+        self.directions[j].add(mu, gains := self.followed(j, mu, found.gains))  # when the past is endless
+        return gains, adversary
+
+    def attack(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
+        """The same, of which only the adversary is kept: what the gains prove is for its own window.
 
         From rest, or where that leads nowhere or w does not reach all modes, from what has gone on for ever.
         """
@@ -185,8 +191,6 @@ class GainSearch:
         if not from_rest and lasting is not None:
             adversary = max(adversary, self._for_ever(j, mu, lasting), key=lambda one: one.value)
         self._keep(j, adversary)
-        gains = self.followed(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
-        self.directions[j].add(mu, gains)
         return gains, adversary
 
     def _for_ever(self, j: int, mu: Array, lasting: LastingResponses) -> Adversary:

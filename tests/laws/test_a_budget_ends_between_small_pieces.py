@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy import limit
 from sampling_design.certificates.exact.window_gains import WindowConditions
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
@@ -118,6 +119,22 @@ def test_what_samples_measure_is_chosen_within_the_budget(pieces, monkeypatch):
         assert used.any(axis=1).all()
         met.append(float(worst_sigma2(problem, times[None], used=used[None])[0]))
     assert max(met) == met[-1] > 0
+
+
+@pytest.mark.parametrize("zones", [None, [(0.2, 0.5), (1.1, 1.6)]])
+def test_a_limit_says_something_of_every_row_however_early_it_ends(pieces, zones):
+    """Each row had a system of its own, even once no time was left: eight seconds, and zeros but for one row."""
+    rng = np.random.default_rng(6)
+    plant = sd.Plant(rng.standard_normal((6, 6)) / 2 - np.eye(6), rng.standard_normal((2, 6)))
+    asked = {"w_bound": 0.1, "v_bound": 0.1, "zones": zones, "period": zones and 2.0}
+    pieces.of(limit, "periodic_system")
+    pieces.of(limit.GainSearch, "attack")
+    spent = sd.accuracy.accuracy_limit(plant, budget=1e-3, **asked)
+    assert pieces.count <= 14  # steps that settle, one system, one adversary for all six rows
+    assert (spent.closed, spent.verify()) == (False, True)
+    whole = sd.accuracy.accuracy_limit(plant, rtol=0.2, **asked)
+    assert np.all(spent.lower > 0)
+    assert np.all(spent.lower <= whole.lower * 1.2)
 
 
 @pytest.fixture(scope="module")

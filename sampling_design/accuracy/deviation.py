@@ -30,6 +30,9 @@ POINTS = 64  # offsets in each gap at which the profile stands
 WALK = 1e-12
 """Share of a free start's covariance that joins the noise of a period where the filter from P = 0 is unstable."""
 
+ROUNDED = 1e-7
+"""Share of a root that may be rounding: root of that of the covariance which it was taken from."""
+
 WIDER, WIDEST = (1e2, 1e4, 1e6, 1e8, 1e10), (1e8, 1e10)
 """A start of which nothing is known is taken so many times as wide, until what the samples determine stays as it is;
 between the two widest, what they do not determine must grow as the start does."""
@@ -228,7 +231,7 @@ class _DeviationCurves:
         if any(own.any() for own in self._exact):
             root = carried(roots[-1], rooted.F[-1], rooted.noise[-1])
             for _ in range(r):  # each period shows one direction more of what no noise reaches, or none is left
-                roots, root = rooted.exactly(root, self._exact)
+                roots, root = rooted.exactly(root, self._exact, ROUNDED)
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
 
     def _finite(self, rows: list[Array]) -> list[Array]:
@@ -244,7 +247,7 @@ class _DeviationCurves:
             before, roots = self._sizes(roots), path(start * size)[0]
             settled = np.allclose(self._sizes(roots), before, rtol=SETTLED, atol=0.0)
             if settled and (not free or np.all(free[1] > free[0] * WIDEST[1] / WIDEST[0] / 2)):
-                return path.exactly(start * size, self._exact)[0]
+                return path.exactly(start * size, self._exact, ROUNDED)[0]
         raise UndecidedError(
             "undecided: the samples show some state so weakly that doubles cannot tell it from what was "
             "assumed at the start. Give a shorter schedule."
@@ -267,7 +270,7 @@ class _DeviationCurves:
             np.einsum("i,kij,j->k", row * self.D, W, row * self.D), 0
         )
         if self.question.initial is None:  # of rows that what nobody knows does not touch
-            return found
+            return np.asarray(found)
         return np.where(self._directions[j].determines(propagated @ self._L[j]), found, np.inf)
 
     def worst(self, parts: list[Array], offsets: list[Array], row: Array) -> tuple[float, float]:

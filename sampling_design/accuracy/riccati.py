@@ -111,14 +111,17 @@ class RootedPeriod:
             root = carried(root, F, noise)
         return after, root, error
 
-    def exactly(self, root: Array, exact: Sequence[Mask]) -> tuple[list[Array], Array]:
-        """Return roots after each sample, and that at the period's end, where `exact` sensors have no noise at all."""
+    def exactly(self, root: Array, exact: Sequence[Mask], rounding: float) -> tuple[list[Array], Array]:
+        """Return roots after each sample, and that at the period's end, where `exact` sensors have no noise at all.
+
+        Of `root` so large a share is `rounding`.
+        """
         after = []
         for F, H, noise, own in zip(self.F, self.rows, self.noise, exact, strict=True):
             if not own.all():
                 root = root_update(largest_first(root), H[~own], np.zeros((np.count_nonzero(~own), 1)))[0]
             for row in H[own]:
-                root = exact_update(root, row)
+                root = exact_update(root, row, rounding)
             after.append(root)
             root = carried(root, F, noise)
         return after, root

@@ -85,32 +85,36 @@ def test_growth_over_a_period_hides_no_mode_that_an_output_sees(T, periods):
 
 
 GROWING, TURNING = np.diag([0.5, 0.4]), np.array([[0.0, 1.0], [-1.0, 0.0]])
+DECAYING = np.array([[0.3, 1.0, 0.0], [0.0, 0.45, 0.0], [0.0, 0.0, -0.6]])
 
 
-@pytest.mark.parametrize("endless", [True, False])
 @pytest.mark.parametrize(
-    ("A", "C", "G", "known"),
+    ("A", "C", "G", "known", "endless"),
     [
-        (GROWING, np.eye(2), [[0.0], [1.0]], [True, False]),
-        (GROWING, np.eye(2), [[1.0], [1.0]], [False, False]),
-        (TURNING, [[1.0, 0.0], [0.0, 0.0]], [[0.0], [0.0]], [True, True]),
+        (GROWING, np.eye(2), [[0.0], [1.0]], [True, False], True),
+        (GROWING, np.eye(2), [[0.0], [1.0]], [True, False], False),
+        (GROWING, np.eye(2), [[1.0], [1.0]], [False, False], True),
+        (TURNING, [[1.0, 0.0], [0.0, 0.0]], [[0.0], [0.0]], [True, True], False),
+        (DECAYING, [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [[1.0], [0.0], [0.0]], [False, False, True], True),
     ],
-    ids=["beside noise", "of noise", "turning"],
+    ids=["beside noise", "beside noise, finite", "of noise", "turning, finite", "decaying"],
 )
 def test_an_exact_sensor_has_no_noise_of_its_own(A, C, G, known, endless):
     """Against a plain filter that takes its inverse as it is; what no noise reaches is then known exactly."""
     gaps, C, G, v = [1.0, 0.6] * 20, np.array(C), np.array(G), np.diag([0.0, 0.3])
     schedule = sd.PeriodicSchedule([1.0, 0.6]) if endless else sd.Schedule(np.cumsum(gaps))
-    P, reached = 1e2 * np.eye(2), []
+    n = len(A)
+    P, reached = 1e2 * np.eye(n), []
     for h in gaps[1:]:
         P = P - P @ C.T @ np.linalg.pinv(C @ P @ C.T + v**2, 1e-11, hermitian=True) @ C @ P
         F, noise = flow(A, G, np.eye(1) / 0.2, 0.0, h)
         P = F @ P @ F.T + noise
         reached.append(np.sqrt(np.abs(np.diag(P))))
     largest = np.max(reached[-4:], axis=0)
-    for unit in (1.0, 1e5):
-        plant, sizes = sd.Plant(A, C * unit, G=G), {"w_intensity": 0.2, "v_deviation": np.diag(v) * unit}
-        found = sd.accuracy.standard_deviation(plant, schedule, of=np.eye(2), **sizes)
+    for unit, T in ((1.0, np.eye(n)), (1e5, np.eye(n)), (1.0, MIXED[:n, :n])):
+        plant, back = sd.Plant(T @ A @ np.linalg.inv(T), C @ np.linalg.inv(T) * unit, G=T @ G), np.linalg.inv(T)
+        sizes = {"w_intensity": 0.2, "v_deviation": np.diag(v) * unit}
+        found = sd.accuracy.standard_deviation(plant, schedule, of=back, **sizes)
         end = found.profile[:, -65 * 4 :].max(axis=1)
         assert end == pytest.approx(np.where(known, 0.0, largest), rel=1e-6, abs=1e-8)
 

@@ -222,9 +222,38 @@ def answer_of(
     return replace(record, question=asked, at_samples=at_samples, profile=profile, noise=noise)
 
 
+def bracket_of_rows(
+    asked: AccuracyQuestion, rows: Array, tolerance: float, limit: Budget, attacked: int
+) -> tuple[Array, Array]:
+    """Return what is attained of the first so many rows at times as planned, and what gains prove of all: no profile.
+
+    Raises UndecidedError as `guaranteed_accuracy` does.
+    """
+    question = asked.primitive()
+    known = question.lasting()
+    upper = np.full(len(rows), np.inf if known.lift.shape[1] or known.modes else 0.0)
+    lower = upper[:attacked].copy()
+    safe = [k for k, row in enumerate(rows) if known.plant.n_states and not known.touches(row)]
+    if not safe:
+        return lower, upper
+    search = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=limit)
+    found = [search.row(rows[k] @ known.lift, _without_margin(tolerance), MOST_SOLVES) for k in safe]
+    for k, row in zip(safe, found, strict=True):
+        again = search.opened(row.row, row.opened)
+        upper[k] = search.top(again)[0] * (1 + MARGIN)
+        if k < attacked:
+            lower[k] = _witness(search, question, again, False, KEPT * upper[k], limit)[0].value * (1 - KEPT)
+    return lower, upper
+
+
+def _without_margin(tolerance: float) -> float:
+    """The tolerance of a search whose upper side `MARGIN` joins."""
+    return max((1 + tolerance) / (1 + 2 * MARGIN) - 1, tolerance / 2)
+
+
 def _bracketed(search: GainSearch, row: Array, tolerance: float) -> RowSearch:
     """The bracket and the profile of one row; after an interrupt what is proven by then."""
-    tolerance = max((1 + tolerance) / (1 + 2 * MARGIN) - 1, tolerance / 2)  # `MARGIN` joins the upper side
+    tolerance = _without_margin(tolerance)
     try:
         found = search.row(row, tolerance, MOST_SOLVES)
         search.profile(found)

@@ -22,6 +22,7 @@ from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.observability.worst_case import spaced_search
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.records.budget import ENDLESS, Budget
+from sampling_design.uncertain.accuracy import accuracy_over_box
 from sampling_design.uncertain.existence import existence_over_box
 from sampling_design.uncertain.inclusion.program import InclusionProgram
 from sampling_design.uncertain.observability import bracket_varying
@@ -135,6 +136,20 @@ def test_a_limit_says_something_of_every_row_however_early_it_ends(pieces, zones
     whole = sd.accuracy.accuracy_limit(plant, rtol=0.2, **asked)
     assert np.all(spent.lower > 0)
     assert np.all(spent.lower <= whole.lower * 1.2)
+
+
+def test_all_plants_of_a_box_are_bounded_before_its_corners_are_looked_at(pieces):
+    """Corners took the seconds in which every plant could be bounded, and what was left of them proved nothing."""
+    box = sd.UncertainPlant(OSCILLATOR, [sd.UncertainParameter("k", -0.01, 0.01, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    asked = {"w_bound": [0.1, 0.1], "v_bound": [0.1]}
+    pieces.of(accuracy_over_box, "bracket_of_rows")
+    spent = sd.guaranteed_accuracy(box, UNEVEN, rtol=1e-3, budget=3.5, **asked)
+    assert pieces.count <= 3  # the plant in the middle, all within reach of it, and one corner at most
+    assert not spent.closed.any()
+    nominal = sd.guaranteed_accuracy(OSCILLATOR, UNEVEN, **asked)
+    assert np.all(nominal.lower <= spent.upper)
+    assert np.all(spent.lower > 0)
+    assert np.all(spent.lower <= spent.upper)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """Sigma, counts, existence and accuracy over a box of constant parameters: proven, attained, refused."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -360,10 +359,10 @@ def test_accuracy_over_a_box_around_a_plant_at_rest_that_nothing_drives(absent):
 
 
 def test_accuracy_that_cannot_be_bounded_says_so(monkeypatch):
-    def one(plant, schedule, *, of, **others):
-        return SimpleNamespace(lower=np.zeros(len(of)), upper=np.full(len(of), np.inf))
+    def one(asked, rows, tolerance, limit, attacked):
+        return np.zeros(attacked), np.full(len(rows), np.inf)
 
-    monkeypatch.setattr(accuracy_over_box, "guaranteed_accuracy", one)
+    monkeypatch.setattr(accuracy_over_box, "bracket_of_rows", one)
     monkeypatch.setattr(accuracy_over_box, "SECONDS", 0.0)
     with pytest.raises(UndecidedError, match="could not be bounded in"):
         guaranteed_accuracy(oscillator(), PeriodicSchedule([1.0]), w_bound=[1.0, 1.0], v_bound=1.0)
@@ -402,11 +401,11 @@ def test_growth_beyond_doubles_is_refused_in_one_sentence():
 def test_accuracy_over_a_box_keeps_to_its_budget_where_every_plant_takes_all_it_is_given(monkeypatch, seconds):
     clock = [0.0]
 
-    def spent(plant, schedule, *, of, budget, **others):
-        clock[0] += budget
-        return SimpleNamespace(lower=np.zeros(len(of)), upper=np.ones(len(of)))
+    def spent(asked, rows, tolerance, limit, attacked):
+        clock[0] += limit.seconds
+        return np.zeros(attacked), np.ones(len(rows))
 
-    monkeypatch.setattr(accuracy_over_box, "guaranteed_accuracy", spent)
+    monkeypatch.setattr(accuracy_over_box, "bracket_of_rows", spent)
     monkeypatch.setattr("sampling_design.records.budget.now", lambda: clock[0])
     found = accuracy_over_box.accuracy_over_box(
         oscillator(), PeriodicSchedule([0.6]), w_bound=[0.1, 0.1], v_bound=[0.1], budget=seconds

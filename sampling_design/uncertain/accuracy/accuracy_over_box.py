@@ -8,9 +8,10 @@ from itertools import product
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy import guaranteed_accuracy
+from sampling_design.accuracy.accuracy import bracket_of_rows
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
+from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import align
@@ -31,8 +32,8 @@ from sampling_design.uncertain.box.model import at_parameters, require_constant_
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Both = tuple[Array, Array]
-OnePlant = Callable[[Plant, Array, Array, Array, float], Both]
-"""Lower and upper bounds of one plant: bounds on w and v, wanted rows, and a tolerance."""
+OnePlant = Callable[[Plant, Array, Array, Array, int], Both]
+"""Lower bounds of the first rows of one plant and upper ones of all: bounds on w and v, rows, and how many of them."""
 
 SECONDS = 120.0
 RTOL = 0.1
@@ -139,10 +140,10 @@ def accuracy_over_box(
     worst = [middle] * len(rows)
     start = BoxCells(middle[None], whole[None], np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
 
-    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
-        left = given.seconds_left(SHORTEST * given.seconds, PART)
-        found = guaranteed_accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol, budget=left)
-        return found.lower, found.upper
+    def one(member: Plant, w: Array, v: Array, rows: Array, attacked: int) -> Both:
+        asked = AccuracyQuestion.of(member, schedule, w, v)
+        left = Budget(given.seconds_left(SHORTEST * given.seconds, PART))
+        return bracket_of_rows(asked, rows, FINER * rtol, left, attacked)
 
     def enough(bound: Array, best: Array) -> Mask:
         return np.asarray(-bound * (1 - rtol) <= -best)
@@ -152,8 +153,12 @@ def accuracy_over_box(
             worst[k] = theta
 
     def judged(cell: BoxCells) -> tuple[Array, Array]:
-        low, up = _cell(plant, cell.u[0], cell.half[0], (w, v), rows, FINER * rtol, one, given)
+        low, up = _cell(plant, cell.u[0], cell.half[0], (w, v), rows, one, given)
         attained(cell.u[0], low)
+        for corner in _corners(plant) if not search.judged else ():
+            if given.left < (1 - PART) * given.seconds:
+                break  # the rest is for what is proven of all plants
+            attained(corner, one(plant.at(corner), w, v, rows.matrix, len(rows))[0])
         return -up[None], cell.half * _weights(plant)
 
     def cut(cell: BoxCells, effect: Array) -> tuple[BoxCells, Index] | None:
@@ -166,10 +171,6 @@ def accuracy_over_box(
 
     search = LeastOverCells(start, np.full((1, len(rows)), -np.inf), enough, given)
     search.attain(np.zeros(len(rows)))
-    for corner in _corners(plant):
-        if given.left < (1 - PART) * given.seconds:
-            break  # the rest is for what is proven of all plants
-        attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
     status = search.run(judged, cut, look)
     lower, top, cells = -search.best, -search.lower, search.judged
     named = [each.name for each in plant.parameters]
@@ -195,19 +196,18 @@ def _corners(plant: UncertainPlant) -> list[Array]:
 
 
 def _cell(
-    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: RequestedRows, rtol: float, one: OnePlant,
-    given: Budget,
-) -> Both:  # fmt: skip
+    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: RequestedRows, one: OnePlant, given: Budget
+) -> Both:
     """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven in time."""
     w, v = bounds
     centre = plant.at(np.clip(theta, plant.low, plant.high))
     into, driving = mismatch(plant, half)
     moved_outputs, driven = (moved(plant, half, key) for key in ("C", "G"))
     matrix = np.vstack([rows.matrix, *driving, *moved_outputs])
-    low, up = one(centre, w, v, matrix, rtol)
+    low, up = one(centre, w, v, matrix, len(rows))
     count, moves = len(rows), sum(len(r) for r in driving)
     if not np.all(np.isfinite(up)):
-        return low[:count], np.full(count, np.inf)
+        return low, np.full(count, np.inf)
     extra = np.hstack([centre.G, *into, *driven])
     wide = remade(centre, G=extra, disturbances=Signals([f"d{k}" for k in range(extra.shape[1])]))
     for factor in GUESSES:
@@ -215,12 +215,12 @@ def _cell(
         noise = v + sum(
             (beta[moves + k * len(v) : moves + (k + 1) * len(v)] for k in range(len(moved_outputs))), np.zeros(len(v))
         )
-        _, found = one(wide, np.concatenate([w, beta[:moves], *[w for _ in driven]]), noise, matrix, rtol)
+        _, found = one(wide, np.concatenate([w, beta[:moves], *[w for _ in driven]]), noise, matrix, 0)
         if np.all(found[count:] < beta) or not len(beta):
-            return low[:count], found[:count]
+            return low, found[:count]
         if given.over:
             break
-    return low[:count], np.full(count, np.inf)
+    return low, np.full(count, np.inf)
 
 
 def mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Array]]:

@@ -47,6 +47,10 @@ small random walk leaves of trajectories that neither grow nor decay and that no
 STEADY = 1e-9
 """Relative change over a period at which roots have settled; after `MOST_PERIODS` what is left is no more than this."""
 
+FADED = 1e-4
+"""Share of a start that changes of a deviation are judged beside at least: what decays and no noise reaches has no size
+of its own."""
+
 MOST_PERIODS = 64
 """Periods of roots, where doubling has failed: the error of a mode that grows by e^k falls by as much each period."""
 
@@ -142,10 +146,11 @@ class RootedPeriod:
 
         Raises UndecidedError if they do not settle in doubles.
         """
+        least = FADED * np.linalg.norm(root, axis=1)
         for _ in range(MOST_PERIODS):
             before = root
             after, root, _ = self(before)
-            if _differ(root, before) <= STEADY:
+            if _differ(root, before, least) <= STEADY:
                 return after
         raise UndecidedError(
             "undecided: the covariance of the filter on this schedule does not settle in doubles. Do modes grow far "
@@ -153,10 +158,10 @@ class RootedPeriod:
         )
 
 
-def _differ(one: Array, two: Array) -> float:
-    """The largest difference of two covariances beside their diagonals."""
+def _differ(one: Array, two: Array, least: Array | float = 0.0) -> float:
+    """The largest difference of two covariances beside their diagonals, or beside what is the least of a deviation."""
     first, second = one @ one.T, two @ two.T
-    size = np.sqrt(np.maximum(np.diag(first), np.diag(second)))
+    size = np.maximum(np.sqrt(np.maximum(np.diag(first), np.diag(second))), least)
     size = np.where(size > 0, size, 1.0)
     return float(np.max(np.abs(first - second) / np.outer(size, size), initial=0.0))
 

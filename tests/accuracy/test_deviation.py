@@ -132,6 +132,19 @@ def test_beside_it_what_decays_and_no_noise_reaches_is_known(beside):
     assert still.worst == still.mean == 0.0
 
 
+@pytest.mark.parametrize("beside", [-0.4, -2.5])
+def test_an_exact_sensor_is_followed_beside_what_decays_and_no_noise_reaches(beside):
+    """Where roots settle in place of doubling, what goes to zero by a share each period has no size to settle at."""
+    A, C = np.array([[0.24, 0.24], [-0.31, -0.44]]), np.array([[-0.27, -1.5], [-0.98, 0.45], [1.19, -0.31]])
+    G, schedule = np.array([[2.0], [1.4]]), sd.PeriodicSchedule([0.3, 1.5])
+    sizes, row = {"w_intensity": 0.1, "v_deviation": [0.0, 0.27, 0.24]}, np.array([[-0.74, -0.92, 0.0]])
+    alone = sd.accuracy.standard_deviation(sd.Plant(A, C, G=G), schedule, of=row[:, :2], **sizes)
+    wider = np.zeros((3, 3))
+    wider[:2, :2], wider[2, 2] = A, beside
+    plant = sd.Plant(wider, np.hstack([C, np.zeros((3, 1))]), G=np.vstack([G, [[0.0]]]))
+    assert sd.accuracy.standard_deviation(plant, schedule, of=row, **sizes).worst == pytest.approx(alone.worst, 1e-9)
+
+
 def test_a_finite_schedule_starts_from_nothing():
     plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
     found = sd.accuracy.standard_deviation(plant, sd.Schedule([0.0, 2.0]), w_intensity=0.0, v_deviation=0.3, end=3.0)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.optimize import linprog
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
@@ -44,6 +45,48 @@ def test_along_a_linear_plant_it_is_the_plant_itself():
     np.testing.assert_allclose(along.G(1.0), G)
     assert "2 states, 1 output, over 3 s" in along.explain()
     assert "horizon" in str(along)
+
+
+def test_the_worst_small_deviation_is_one_of_the_nonlinear_plant():
+    """What a linear program finds worst along the trajectory is simulated: as hidden, and as far away at the end."""
+    rate = lambda x, w: np.array([x[1], x[0] - x[0] ** 3 - 0.1 * x[1] + w])  # noqa: E731
+    duffing = NonlinearPlant(
+        lambda x, u, w: [x[1], x[0] - x[0] ** 3 - 0.1 * x[1] + w[0]],
+        lambda x, u, v: [x[0] + v[0]],
+        {"states": 2, "outputs": 1, "disturbances": 1},
+    )
+    begun, end, cells, small, v = np.array([1.4, 0.2]), 2.0, 20, 1e-5, 0.1
+    along = plant_along(duffing, begun, end)
+    schedule, h = sd.Schedule([0.0, 1.0]), end / cells
+    given = {"w_bound": [small], "v_bound": [v * small], "of": [[0.3, 1.0]], "end": end}
+    found = sd.guaranteed_accuracy(along, schedule, **given)
+    F = along.transitions(np.linspace(0.0, end, 2 * cells + 1)).F
+    of_start, of_w, read = np.eye(2), np.zeros((2, cells)), []
+    for k in range(cells + 1):
+        if k * h in schedule.times:
+            read.append(np.append(of_start[0], of_w[0]))
+        if k < cells:
+            whole = F[2 * k + 1] @ F[2 * k]
+            of_start, of_w = whole @ of_start, whole @ of_w
+            of_w[:, k] = h * F[2 * k + 1] @ [0.0, 1.0]
+    row = np.array([0.3, 1.0]) @ np.hstack([of_start, of_w])
+    worst = linprog(-row, np.vstack([read, np.negative(read)]), [v] * 4, bounds=[(None, None)] * 2 + [(-1, 1)] * cells)
+    ways = []
+    for size in (0.0, small):
+        x, way = begun + size * worst.x[:2], [begun + size * worst.x[:2]]
+        for w in np.repeat(size * worst.x[2:], 10):  # by the rule of Runge and Kutta, of order four
+            a = rate(x, w)
+            b = rate(x + h / 20 * a, w)
+            c = rate(x + h / 20 * b, w)
+            x = x + h / 60 * (a + 2 * b + 2 * c + rate(x + h / 10 * c, w))
+            way.append(x)
+        ways.append(np.array(way))
+    away = (ways[1] - ways[0]) / small
+    assert np.all(np.abs(away[[0, 100], 0]) <= v * (1 + 1e-2))
+    reached = small * abs(away[-1] @ [0.3, 1.0])
+    assert found.times[-1] == end
+    assert reached == pytest.approx(-small * worst.fun, rel=2e-3)
+    assert 0.995 * found.lower[0, -1] <= reached <= 1.005 * found.upper[0, -1]
 
 
 def test_noise_that_is_not_added_has_no_bound_beside_outputs():

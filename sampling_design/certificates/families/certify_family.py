@@ -245,13 +245,13 @@ class FamilySearch:
         """The largest part of the family, by halvings, that has a certificate at one of these levels of memory."""
         part, low, high = None, 0.0, 1.0
         for _ in range(NARROWINGS):
-            fraction = (low + high) / 2
-            smaller = self.family.narrowed(fraction)
+            smaller = self.family.narrowed(fraction := (low + high) / 2)
             if smaller is None or self.budget.over:
                 break
-            part_of = replace(self, family=smaller)
-            certain = any(part_of.propose(eta, level).P is not None for level in levels)
-            low, high, part = (fraction, high, smaller) if certain else (low, fraction, part)
+            part_of, left = replace(self, family=smaller), levels
+            while left and part_of.propose(eta, left[0]).P is None:
+                left = left[1:]  # with less memory than a part needs, no larger one is tried
+            low, high, part, levels = (fraction, high, smaller, left) if left else (low, fraction, part, levels)
         return part
 
     def by_own_decay(self, bounds: tuple[float, float], memory: int) -> FamilyProposal | None:

@@ -192,9 +192,9 @@ def answer_of(
     question = asked.primitive()
     known = question.lasting()
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
-    noise, search = None, None
+    noise, search, planned = None, None, None
     if safe and question.timing_tolerance:
-        noise, search = noise_enough(question, known, limit)
+        noise, search, planned = noise_enough(question, known, limit)
     elif safe:
         search = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=limit)
     found: dict[int, RowSearch] = {}
@@ -204,12 +204,8 @@ def answer_of(
             if progress is not None:
                 between = f"{below(found[k].lower)} to {above(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
-    planned = None
-    if noise is not None and search is not None:
-        system, directions = question.filter_bounds(known.plant, known.moving)
-        planned = GainSearch(
-            replace(system, speed=speed_of(search.system)), directions, budget=limit
-        )  # on the same panels
+    if planned is not None and search is not None:  # on the same panels
+        planned.system = planned.system.at_speed(speed_of(search.system))
     record = replace(
         _record(question, rows, known, search, found, tolerance, planned), deviation=deviation, noise=noise
     )

@@ -218,10 +218,17 @@ class SampledSystem:
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
         fresh = [_cells(self.A, self.G, L, gap.flow, gap.length, loss) for L, gap in zip(after, self.gaps, strict=True)]
         cut = zip(self.gaps, fresh, strict=True)
-        finer = replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in cut))
-        if "reach" in self.__dict__:
-            finer.__dict__["reach"] = self.reach
-        return finer
+        return replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in cut))._proven_as(self)
+
+    def at_speed(self, speed: float) -> SampledSystem:
+        """Return the system whose panels take A to be so fast."""
+        return replace(self, speed=speed)._proven_as(self)
+
+    def _proven_as(self, other: SampledSystem) -> SampledSystem:
+        """The system with what is proven of the filter of another one, which is the same."""
+        if "reach" in other.__dict__:
+            self.__dict__["reach"] = other.reach
+        return self
 
     @cached_property
     def memory(self) -> int:

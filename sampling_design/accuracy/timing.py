@@ -85,27 +85,31 @@ def refuse_tolerance(question: AccuracyQuestion, stochastic: bool) -> None:
         )
 
 
-def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budget) -> tuple[Array, GainSearch]:
+def noise_enough(
+    question: AccuracyQuestion, known: DetectablePart, budget: Budget
+) -> tuple[Array, GainSearch, GainSearch]:
     """Return the noise u (N, p) that stands for the tolerance, and the search whose directions prove that it is enough.
 
-    It is 0 where an output is not measured.
+    It is 0 where an output is not measured. Beside it the search without that noise.
 
     Raises UndecidedError if there is none: what a tolerance adds grows faster than itself, or a row that it takes is
     not known.
     """
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
-    kept: tuple[Array, GainSearch] | None = None
+    kept: tuple[Array, GainSearch, GainSearch] | None = None
     least = 0.0
     rushed = 0
+    search = planned = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=budget)
     for turn in range(TURNS):
         rushed += budget.over
-        search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
+        if turn:
+            search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
         found = added(search, question, known, seek=not budget.over)
         enough = is_enough(tried, found)
         if not np.isfinite(found).all() or (rushed > RUSHED and not enough):
             break
         if enough:
-            kept = tried, search
+            kept = tried, search, planned
             if np.all(tried <= ENOUGH * found) or budget.over:
                 return kept
             before, tried = tried, found * (1 + (ENOUGH - 1) / 2)

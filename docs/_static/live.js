@@ -277,7 +277,7 @@
     let latest = 0;
     cells.forEach((cell) => {
       cell.stale = latest > cell.at;
-      cell.node.classList.toggle("live-stale", cell.stale);
+      cell.node.classList.toggle("live-stale", cell.stale && cell.output.childElementCount > 0);
       latest = cell.code.value === cell.shown ? Math.max(latest, cell.changed) : Infinity;
     });
   }

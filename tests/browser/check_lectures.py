@@ -81,9 +81,14 @@ def test_a_number_is_changed_and_the_cell_runs(page, running, shot):
     code, shown = cell.locator("textarea"), cell.locator(".cell_output")
     picture = cell_with(page, "def show(gap=1.2)").locator("img")
     before = picture.get_attribute("src")
+    stale = page.locator(".live-stale")
+    assert stale.count() == 0
     code.fill(code.input_value().replace("(2, 5, 50, 500)", "(3,)"))
+    older = stale.count()
+    assert older > 0, "what is shown below is not marked as older than the change"
     code.press("Shift+Enter")
     assert re.fullmatch(r"\d+ of \d+ cells have run\.", said(page))
+    assert stale.count() == older
     assert shown.inner_text().startswith("   3 samples at multiples of pi: sigma = ")
     assert len(shown.inner_text().splitlines()) == 1
     assert picture.get_attribute("src") != before, "the cells above have not run"

@@ -57,8 +57,8 @@ _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 _TIE = 1e-9  # likewise: less is rounding, and the schedule that was found first stays
 FIRST_STEPS = 12  # of that first refinement
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
-_LED_TO_SEE, _PLACES_TO_SEE, _ROUNDS = 6, 48, 8
-"""Where all starts are blind: how many others are led on, over how many places of each sample, how often at most."""
+_LED_TO_SEE, _ROUNDS = 6, 8
+"""Where all starts are blind: how many others are led on, and how often at most; less of what is large."""
 _EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in proportion to its samples
 
 
@@ -333,14 +333,15 @@ def _restart(run: _Refinement, rng: np.random.Generator) -> None:
     One sample after the other goes where the fewest windows miss a state.
     """
     problem = run.problem
-    size = problem.samples - problem.fixed.size
+    size, effort = problem.samples - problem.fixed.size, _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
     drawn = [at_shares(problem, rng.uniform(size=size)) for _ in range(DRAWS if size else 0)]
     pool = np.array([t for t in drawn if t is not None and is_admissible(problem, t)]).reshape(-1, problem.samples)
     values = worst_sigma2(problem, pool, graded=True)
-    for i in np.argsort(-values, kind="stable")[:_LED_TO_SEE]:
+    led, rounds = (int(np.ceil(effort * most)) for most in (_LED_TO_SEE, _ROUNDS))
+    for i in np.argsort(-values, kind="stable")[:led]:
         if run.is_over or run.value > 0:
             return
-        t, value = exchanged(problem, pool[i], float(values[i]), _PLACES_TO_SEE, _ROUNDS, run.budget, graded=True)
+        t, value = exchanged(problem, pool[i], float(values[i]), _places(problem), rounds, run.budget, graded=True)
         if value > 0:
             run.refine("restart", t, value)
 

@@ -33,7 +33,7 @@ CELLS = 2  # least number of coarse cells of a gap
 FINER_CELLS = (1, 2, 4, 16)  # so many times more cells on each level than on the first
 SUM_HELD = 8 * float(np.finfo(float).eps)  # relative error of a flow over a panel, for each state and panel before it
 REMEMBERED = 1024  # gaps that are kept
-AT_ONCE = 2**19
+AT_ONCE = 2**17
 """Numbers along the panels of a gap that are made at once: what a cache does not hold costs over twice as much,
 where a fast mode asks for thousands of panels."""
 
@@ -70,18 +70,25 @@ class PropagatedGap:
         a panel times sup|p'''|.
         """
         (count, _, q), k = self.propagated.shape, g.shape[1]
-        most = max(AT_ONCE // (count * max(q, 1)), 1)
-        if k > most:
-            return np.concatenate([self.integral(g[:, i : i + most], ball) for i in range(0, k, most)])
+        most = max(min(AT_ONCE // (count * max(q, 1)), k), 1)
+        room = np.empty((3, count * q * most))  # fresh memory for each part would cost more than what is done in it
+        parts = [self._integral(g[:, i : i + most], ball, room) for i in range(0, k, most)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _integral(self, g: Array, ball: bool, room: Array) -> Array:
+        (count, _, q), k = self.propagated.shape, g.shape[1]
         propagated, curved, ends, inner, rest = self._quadrature
-        p, bend = propagated @ g, curved @ g
+        p, bend, larger = room[:, : count * q * k].reshape(3, count * q, k)
+        np.matmul(propagated, g, out=p)
+        np.matmul(curved, g, out=bend)
         more = rest * np.linalg.norm(g, axis=0)
         if ball:
             stacks = (X.reshape(count, q, k) for X in (p, bend))
             size, curve = (np.sqrt(np.einsum("cqk,cqk->ck", X, X)) for X in stacks)
             return np.asarray(ends @ size + inner @ np.maximum(curve[1:], curve[:-1]) + more)
         size, curve = (np.abs(X, out=X).reshape(count, q * k) for X in (p, bend))
-        total = ends @ size + inner @ np.maximum(curve[1:], curve[:-1])
+        sharpest = np.maximum(curve[1:], curve[:-1], out=larger.reshape(count, q * k)[1:])
+        total = ends @ size + inner @ sharpest
         return np.asarray(total.reshape(q, k).sum(axis=0) + math.sqrt(q) * more)
 
     @cached_property

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import matrix_balance
@@ -23,6 +24,8 @@ BASE = 64  # pieces of one size that are remembered: one level of them covers |A
 
 STILL = 1e-150
 """A plant in which nothing moves counts as one this slow: what is divided by it, disturbances, stays a number."""
+
+FlowParts: TypeAlias = Array | tuple[Array, Array, Array]  # F, E and W of one gap
 
 FEW = 4  # gaps up to which each is a product of its own with the polynomial around its piece
 SMALL = 12  # states up to which these polynomials are remembered: four megabytes at most
@@ -85,24 +88,32 @@ class ComposedFlow:
     def over(self, gaps: Sequence[float]) -> tuple[Array, Array, Array]:
         """Return F, E and W for every gap, each (N, n, n)."""
         n = self._n
-        if 0 < len(gaps) <= FEW and n <= SMALL and max(gaps) < BASE * self._unit:
-            near = self._near(gaps)
-            return near[:, 0], near[:, 1], near[:, 2]
+        if self._few(gaps):
+            F, E, W = np.array([self._near(h) for h in gaps]).swapaxes(0, 1)
+            return F, E, W
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite: its users look
             flow = self._far(np.array(gaps, dtype=np.float64))
         return flow[:, :, :n], flow[:, :, n : 2 * n], _symmetric(flow[:, :, 2 * n :])
 
-    def _near(self, gaps: Sequence[float]) -> Array:
-        """F, E and W over a few gaps of one level, (N, 3, n, n), each from the polynomial around its piece."""
-        unit, norm, around = self._unit, self._norm, self._around
-        flow, orders = np.empty((len(gaps), len(self._kept))), self._powers
-        for k, h in enumerate(gaps):
-            digit = int(h // unit)
-            terms = around.get(digit)
-            if terms is None:
-                terms = around[digit] = self._expanded(digit)
-            np.power((h - digit * unit) * norm, orders).dot(terms, flow[k])
-        return flow.take(self._whole, 1)
+    def each(self, gaps: Sequence[float]) -> Sequence[FlowParts]:
+        """Return the same gap by gap."""
+        if self._few(gaps):
+            return [self._near(h) for h in gaps]
+        F, E, W = self.over(gaps)
+        return [(F[k], E[k], W[k]) for k in range(len(gaps))]  # to iterate an array takes ten times as long
+
+    def _few(self, gaps: Sequence[float]) -> bool:
+        """Whether some gaps, at least one, are few and of one level."""
+        return 0 < len(gaps) <= FEW and self._n <= SMALL and max(gaps) < BASE * self._unit
+
+    def _near(self, h: float) -> Array:
+        """F, E and W over a gap of one level, (3, n, n), from the polynomial around its piece."""
+        digit = int(h // self._unit)
+        terms = self._around.get(digit)
+        if terms is None:
+            terms = self._around[digit] = self._expanded(digit)
+        flow: Array = np.power((h - digit * self._unit) * self._norm, self._powers).dot(terms).take(self._whole)
+        return flow
 
     def _expanded(self, digit: int) -> Array:
         """Coefficients of the flow over `digit` units and r more, by powers of |A| r; in the states' own units."""

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow
+from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow, FlowParts
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records.arrays import Array, Index, Mask
@@ -65,26 +65,37 @@ class GapFlow:
     """
 
     __slots__ = (
-        *("gap", "growth", "F", "W", "integral", "inputs", "undiscounted"),
-        *("_size", "_arrival", "_roots", "_ends"),
+        *("gap", "growth", "F", "W", "undiscounted"),
+        *("_flow", "_B", "_inputs", "_size", "_arrival", "_roots", "_ends"),
     )
 
     def __init__(
         self,
         gap: float,
         growth: float,
-        F: Array,
-        W: Array,
-        integral: Array,
-        inputs: Array,
+        flow: FlowParts,
+        B: Array,
         roots: tuple[Array, Array] | None = None,
     ):
-        self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
+        self.gap, self.growth, self.F, self.W, self._flow, self._B = gap, growth, flow[0], flow[2], flow, B
         self.undiscounted: Array | None = None
+        self._inputs: Array | None = None
         self._size: Array | None = None
         self._arrival: tuple[Array, tuple[Array, Array] | None] | None = None
         self._roots = roots
         self._ends: _BothEnds | None = None if roots is None else _NO_ENDS
+
+    @property
+    def integral(self) -> Array:
+        """Return the integral of e^{A s} over the gap."""
+        return self._flow[1]
+
+    @property
+    def inputs(self) -> Array:
+        """Return that times B: what inputs add that hold over the gap."""
+        if self._inputs is None:
+            self._inputs = self.integral.dot(self._B)
+        return self._inputs
 
     @property
     def size(self) -> Array:
@@ -222,9 +233,9 @@ class FlowTable:
     def known(self, gaps: Sequence[float]) -> None:
         """See to it that the flows of some gaps are known, in one batch."""
         table = self._table
-        missing = [gap for gap in dict.fromkeys(gaps) if gap not in table]
+        missing = [gap for gap in gaps if gap not in table]
         if missing:
-            self._fill(missing)
+            self._fill(list(dict.fromkeys(missing)))
             while len(table) > CACHE_SIZE:
                 table.popitem(last=False)
 
@@ -251,17 +262,16 @@ class FlowTable:
 
     def _fill(self, gaps: list[float]) -> None:
         eta, B, table = self.weights.eta, self.weights.plant.B, self._table
-        F, integral, W = self._flow.over(gaps)
-        inputs = integral @ B if B.size else [B] * len(gaps)
-        roots: list[tuple[Array, Array] | None] = [None] * len(gaps)
+        flows: Sequence[FlowParts] = self._flow.each(gaps)
+        roots: Sequence[tuple[Array, Array] | None] = [None] * len(gaps)
         if self.constant_w:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
-                found = self._constant_roots(integral, gaps)
-                W = np.array([root @ root.T for root, _ in found])
-            roots = list(found)
-        for k, gap in enumerate(gaps):  # an array is iterated at ten times the price of its places
+                found = self._constant_roots(np.array([flow[1] for flow in flows]), gaps)
+                flows = [(flow[0], flow[1], root @ root.T) for flow, (root, _) in zip(flows, found, strict=True)]
+            roots = found
+        for k, gap in enumerate(gaps):
             growth = math.exp(eta * gap) if eta * gap < LONGEST else math.inf
-            table[gap] = GapFlow(gap, growth, F[k], W[k], integral[k], inputs[k], roots[k])
+            table[gap] = GapFlow(gap, growth, flows[k], B, roots[k])
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
         """Roots of the noise that is constant over each gap and their pseudo-inverses; NaN where they overflowed.

@@ -47,12 +47,12 @@ of a reference may show in its ninth digit: nodes to come take their estimates f
 
 
 class OutputInformation(NamedTuple):
-    """What measuring some outputs means: band of C'Y C, C'U' with U'U = Y, a bound on the noise's cost, and a map: of
-    (y, x, D u) it makes U (y - D u - C x), and below it as much as |y| and |x| are in units of their weights, or more.
+    """What measuring some outputs means: band of C'Y C with U'U = Y, a bound on the noise's cost, and a map: of
+    (y, x, D u) it makes U (y - D u - C x), below it as much as |y| and |x| are in units of their weights, or more, and
+    last how the sample pulls at x, C'Y (y - D u - C x).
     """
 
     band: Array
-    back: Array
     off: Array
     energy: float
 
@@ -172,11 +172,12 @@ class SlidingBand:
             weights, p, n = self._weights.at(mask), self._p, self._n
             root = weights.y_root
             back = self._C.T @ root.T
-            off = np.zeros((2 * p + n, 2 * p + n if self._direct else p + n))
+            off = np.zeros((2 * p + 2 * n, 2 * p + n if self._direct else p + n))
             off[:p] = np.hstack([root, -root @ self._C, -root])[:, : off.shape[1]]
-            off[p : p + n, p : p + n], off[p + n :, :p] = self._held, np.diag(np.sqrt(p * weights.y.diagonal()))
+            off[p : p + n, p : p + n], off[p + n : -n, :p] = self._held, np.diag(np.sqrt(p * weights.y.diagonal()))
+            off[-n:] = back @ off[:p]
             band, energy = lower_band(back @ back.T, n)[0], self._energy(mask)
-            found = self._kinds[key] = OutputInformation(band, back, off, energy)
+            found = self._kinds[key] = OutputInformation(band, off, energy)
         self._latest = mask, found
         return found
 
@@ -225,13 +226,13 @@ class SlidingBand:
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        kind, data, sums, p = self._outputs[k], self._data[k], self._sums[k], self._p
-        data[p : p + self._n] = self._reference[k]
-        off = kind.off.dot(data)
-        half = off[:p]
+        data, sums, p, n = self._data[k], self._sums[k], self._p, self._n
+        data[p : p + n] = self._reference[k]
+        off = self._outputs[k].off.dot(data)
+        half, held = off[:p], off[:-n]
         square = float(half.dot(half))
-        kind.back.dot(half.dot(d), self._pull[k])
-        sums[0], sums[3] = square * d, off.dot(off)
+        np.multiply(off[-n:], d, self._pull[k])
+        sums[0], sums[3] = square * d, held.dot(held)
         return square < LARGEST_RESIDUAL**2
 
     def _joined(self, k: int, d: float, moved: Array | None = None) -> bool:
@@ -364,7 +365,7 @@ class SlidingBand:
         gains = again or self._gains_of_last_window(count - first, flow, Y)
         if gains is None:
             work = self._columns(rows)
-            np.add(self._own[first], band * d, work[0])
+            np.add(self._own[first], band.dot(d), work[0])
             gains = _factored(work, end)
             if gains is None:
                 return None
@@ -435,7 +436,7 @@ class SlidingBand:
             self._absorbed = initial.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
         missed, begin = half.dot(innovation), math.exp(self._eta * (initial.t - self._zero))
-        return initial.x + gain.dot(innovation), Y, float(missed @ missed) * begin, kind.energy * begin, off
+        return initial.x + gain.dot(innovation), Y, float(missed @ missed) * begin, kind.energy * begin, off[:-n]
 
 
 class BandCache:
@@ -488,7 +489,10 @@ def _factored(work: Array, end: float) -> WindowGains | None:
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
     factor, flag = lapack.dpbtrf(band, 1, overwrite_ab=1)
-    if flag or not np.minimum.reduce(factor[0] * factor[0] / diagonal) > PIVOT_LIMIT:
+    if flag:
+        return None
+    shares = factor[0] * factor[0] / diagonal
+    if not shares[shares.argmin()] > PIVOT_LIMIT:
         return None
     # the last diagonal block, as a view; above its diagonal the band's zeros below the last row
     step = work.itemsize

@@ -37,9 +37,8 @@ ROOM = 64  # nodes for which there is room at first, and how many more are made 
 CANCELLED = 1e-4  # share of the reference's cost below which the optimum becomes the reference, at two updates' price
 
 SETTLED = 0.01
-"""Share of what the optimum gains on its reference below which the least cost is found with two digits fewer, so that
-nodes to come take their estimates for references: nearer to the optimum than what was predicted for them, at a
-twentieth of an update each."""
+"""Share of what the optimum gains on its reference below which the least cost is found with two digits fewer: nodes to
+come then take their estimates for references, at a twentieth of an update each."""
 
 FAR_OFF = 1e12
 """Sum of the squares of references and readings, in units of their weights, over the least cost, from which on rounding
@@ -79,12 +78,13 @@ class WindowGains(NamedTuple):
 
     def applied(self, right: Array, end: float, whole: bool) -> tuple[Array, float]:
         """Return the last node's deviation, or those of the `whole` window, and what they gain, at its discount."""
-        factor = self.factor
+        factor, scale = self.factor, self.end / end
         half: Array = _substituted(len(factor) - 1, factor, right.ravel(), 1, 0, 1)
-        scale, gain = self.end / end, float(half.dot(half))
+        gain = float(half.dot(half)) * scale
         if whole:
-            return _substituted(len(factor) - 1, factor, half, 1, 0, 1, 1) * scale, gain * scale
-        return self.root.T.dot(half[-len(self.root) :].dot(scale)), gain * scale
+            return _substituted(len(factor) - 1, factor, half, 1, 0, 1, 1) * scale, gain
+        last: Array = self.root.T.dot(half[-len(self.root) :])
+        return last if scale == 1.0 else last.dot(scale), gain
 
 
 class OptimalTrajectory(NamedTuple):
@@ -107,7 +107,7 @@ class OptimalTrajectory(NamedTuple):
 class WindowOptimum(NamedTuple):
     """State, covariance Y and its precision at the newest node; cost; noise and data's squares.
 
-    `above` is the cost of the reference, `path` the whole optimum, where that was asked for.
+    `above` is the cost of the reference, `path` the whole of the optimum, where that was asked for.
     """
 
     x: Array
@@ -489,14 +489,11 @@ def _factored(work: Array, end: float) -> WindowGains | None:
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
     factor, flag = lapack.dpbtrf(band, 1, overwrite_ab=1)
-    if flag:
+    if flag or not (shares := factor[0] * factor[0] / diagonal)[shares.argmin()] > PIVOT_LIMIT:
         return None
-    shares = factor[0] * factor[0] / diagonal
-    if not shares[shares.argmin()] > PIVOT_LIMIT:
-        return None
-    # the last diagonal block, as a view; above its diagonal the band's zeros below the last row
+    # the last diagonal block; above its diagonal the band's zeros below the last row
     step = work.itemsize
-    last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
+    last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1))).copy()
     root = lapack.dtrtri(last, 1)[0]
     Y = root.T.dot(root).dot(end)
     Y.setflags(write=False)

@@ -12,10 +12,12 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import limit
+from sampling_design.certificates.compare import contraction
 from sampling_design.certificates.exact.window_gains import WindowConditions
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import costs
+from sampling_design.design.search.local_search import FoundSchedule
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.ball_flow import BallFlow
@@ -150,6 +152,35 @@ def test_all_plants_of_a_box_are_bounded_before_its_corners_are_looked_at(pieces
     assert np.all(nominal.lower <= spent.upper)
     assert np.all(spent.lower > 0)
     assert np.all(spent.lower <= spent.upper)
+
+
+def test_a_spent_budget_thins_one_start_and_enumerates_no_choice(monkeypatch):
+    """Of prices the search went through all starts, and every choice of what samples measure, when time was over."""
+    monkeypatch.setattr(costs, "_promising", lambda *given: pytest.fail("choices were enumerated"))
+    begun = []
+    monkeypatch.setattr(costs, "thinned", lambda *given, thinned=costs.thinned: begun.append(1) or thinned(*given))
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2) + 0.3)
+    given = (6.0, 6.0, 0.3, 8, np.zeros((0, 2)), np.zeros(0), (None, None))
+    problem = DesignProblem(plant, *given, costs=np.array([1.0, 1.3]), cost_limit=10.0)
+    found = FoundSchedule(np.arange(0.0, 6.0, 0.75), 0.0, (), True)
+    best, chosen = costs.affordable(problem, found, costs.relax_costly(problem, 0.0), Budget(-1.0))
+    assert len(begun) <= 2  # before and after the times were refined
+    assert best.sigma > 0
+    assert np.sum(chosen @ problem.costs) <= 10.0
+
+
+def test_maps_of_windows_are_followed_within_the_budget(pieces):
+    """A radius took a second and a half between two looks: twenty states, windows side by side."""
+    made = sd.certify(OSCILLATOR, UNEVEN, eta=0.3, P2=np.eye(2))
+    pieces.of(contraction, "joint_update")
+    whole = sd.certificates.least_contracting(made)
+    assert whole > 0
+    assert pieces.count > 20
+    for budget in (0.5, 5.0, 20.0):
+        begun = pieces.count
+        with pytest.raises(UndecidedError, match="not every length was tried within `budget` = "):
+            sd.certificates.least_contracting(made, budget=budget)
+        assert pieces.count - begun <= budget + 1
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 
@@ -81,7 +81,11 @@ def spectral_radius(certificate: Certificate, horizon: float, cost: str = "certi
     *Method.* Windows follow each other; after at most 64 of them they start at the same phase of it to 1e-9, and
     the radius of the product is taken per window. Where they never do, after 64.
     """
-    checks.positive("horizon", horizon)
+    return radius_within(ENDLESS, certificate, checks.positive("horizon", horizon), cost)
+
+
+def radius_within(clock: Budget, certificate: Certificate, horizon: float, cost: str = "certificate") -> float:
+    """`spectral_radius` within a budget. Raises BudgetSpentError where that ends first."""
     schedule = period_of(certificate.schedule, FINITE)
     period, first = schedule.period, schedule.first
     if not certificate.plant.n_states:
@@ -91,9 +95,10 @@ def spectral_radius(certificate: Certificate, horizon: float, cost: str = "certi
     problem, ends = _stated(certificate, cost)
     offsets, worst = first + (schedule.times - schedule.times[0]), 0.0
     for some in np.array_split(offsets, max(1, whole * len(offsets) // MOST_AT_ONCE)):
+        clock.check()
         starts = (some[:, None] + horizon * np.arange(whole)).ravel()
         sampled = [schedule.between(start, start + horizon, closed=ends).times for start in starts.tolist()]
-        maps = _along(problem, starts, horizon, sampled).reshape(len(some), whole, problem.size, problem.size)
+        maps = _along(problem, starts, horizon, sampled, clock).reshape(len(some), whole, problem.size, problem.size)
         product = maps[:, 0]
         for k in range(1, whole):
             product = maps[:, k] @ product
@@ -134,10 +139,13 @@ def contracting_within(given: Budget, certificate: Certificate, cost: str = "cer
     lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
     best = np.inf
     for length in lengths[::-1]:
-        if given.over:
-            raise UndecidedError(f"undecided: not every length was tried within `budget` = {given.seconds:g} s.")
-        if spectral_radius(certificate, float(length), cost) >= 1:
-            break
+        try:
+            if radius_within(given, certificate, float(length), cost) >= 1:
+                break
+        except BudgetSpentError:
+            raise UndecidedError(
+                f"undecided: not every length was tried within `budget` = {given.seconds:g} s."
+            ) from None
         best = float(length)
     return best
 
@@ -150,7 +158,7 @@ def _stated(certificate: Certificate, cost: str) -> tuple[WindowProblem, str]:
     return problem, "both" if cost == "paper" else "right"
 
 
-def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Array]) -> Array:
+def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Array], clock: Budget = ENDLESS) -> Array:
     """The error maps over windows of one length, side by side, in the plant's coordinates, shape (windows, n, n)."""
     n, steps = problem.size, max(map(len, inner))
     ends = starts + length
@@ -164,6 +172,7 @@ def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Arr
     crossed = expm_batch(problem.A, unlike)
     Y = Phi = np.broadcast_to(np.eye(n), (len(starts), n, n))
     for k in range(steps):
+        clock.check()
         at = which[:, k]
         Y, closed = joint_update(propagate(Y, F[at], W[at]), rows[:, k], crossed[at] @ Phi)
         Phi = Phi if closed is None else closed

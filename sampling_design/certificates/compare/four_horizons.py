@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 from sampling_design.certificates.certification import certify
-from sampling_design.certificates.compare.contraction import contracting_within, spectral_radius
+from sampling_design.certificates.compare.contraction import contracting_within, radius_within
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
-from sampling_design.records.budget import Budget
+from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.records.declarations import above, in_latex, latex_table
 from sampling_design.records.record import ListRecord, markdown_table
 from sampling_design.records.signatures import checked
@@ -203,5 +204,7 @@ def four_horizons(
         HorizonRow("exact, improved", "Riccati and the improved theorem", improved.minimum, improved),
         HorizonRow("true contraction", "spectral radius", true, None, missing),
     )
-    radius = None if true is None or clock.over else spectral_radius(exact, improved.length)
+    radius = None
+    with suppress(BudgetSpentError):
+        radius = None if true is None else radius_within(clock, exact, improved.length)
     return FourHorizons(rows, exact, proof, radius)

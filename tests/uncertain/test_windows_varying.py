@@ -149,6 +149,7 @@ def test_what_no_window_shows_counts_as_zero():
     still = TimeVaryingPlant.from_table([0.0, 20.0], [J] * 2, [C] * 2)
     few = sd.window_sigma(still, SAMPLES, 1.0)
     assert (few.status, few.lower, few.upper) == ("too few samples", 0.0, 0.0)
+    assert few.profile.t.size == few.profile.sigma.size == few.profile.piece.size
     blind = sd.window_sigma(still, sd.Schedule(np.pi * np.arange(5)), 7.0)
     assert (blind.status, blind.upper) == ("below rounding", 0.0)
     stiffer = TimeVaryingPlant.from_table([0.0, 20.0], [3 * J + np.diag([0.5, -2.0])] * 2, [C] * 2)

@@ -182,21 +182,15 @@ def bracket_varying(
     `flows` are the plant's transitions, kept for windows that are judged again without a sample.
     """
     clock = Budget(budget)
-    search, nodes = VaryingSearch(plant, pieces, flows, clock), [list[_EvaluatedStart]() for _ in range(len(pieces))]
+    search = VaryingSearch(plant, pieces, flows, clock)
     nothing = _EvaluatedStart(float(pieces.right[0]), np.zeros((0, plant.n_states)), 0.0, 0.0, np.inf)
     short = too_few(pieces, plant.n_states, len(plant.outputs))
     if short is not None:
         best = nothing._replace(at=float(pieces.left[short]), sigma=0.0)
-        return _bracket(search, [[best]], short, best, np.zeros(len(pieces)), "too few samples")
-    status, most = "closed", MOST_PROVEN if plant.tabled else MOST_SAMPLED
-    try:
-        for g, own in enumerate(nodes):
-            for node in _first(search, g):
-                own.insert(0, node)
-    except KeyboardInterrupt:
-        status = "interrupted"
-    except BudgetSpentError:
-        status = "budget"
+        nodes = [[best] if g == short else [] for g in range(len(pieces))]
+        return _bracket(search, nodes, short, best, np.zeros(len(pieces)), "too few samples")
+    most = MOST_PROVEN if plant.tabled else MOST_SAMPLED
+    nodes, status = _begun(search)
     heap = [(search.least(a, b), g, a.at, a, b) for g, own in enumerate(nodes) for a, b in pairwise(own)]
     heapq.heapify(heap)
     floors = np.array([max(min(node.sigma - node.off for node in own), 0.0) if own else 0.0 for own in nodes])
@@ -260,6 +254,20 @@ def kept_flows(plant: TimeVaryingPlant) -> Flows:
         return TransitionTable(F, C, errors, parts[0].proven)
 
     return flows
+
+
+def _begun(search: VaryingSearch) -> tuple[list[list[_EvaluatedStart]], str]:
+    """Nodes of every piece to begin with, in order, as far as there is time; and how that ended."""
+    nodes = [list[_EvaluatedStart]() for _ in range(len(search.pieces))]
+    try:
+        for g, own in enumerate(nodes):
+            for node in _first(search, g):
+                own.insert(0, node)
+    except KeyboardInterrupt:
+        return nodes, "interrupted"
+    except BudgetSpentError:
+        return nodes, "budget"
+    return nodes, "closed"
 
 
 def _first(search: VaryingSearch, g: int) -> Iterator[_EvaluatedStart]:

@@ -118,7 +118,8 @@ class Recorder:
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)
         return HistoryNode(
-            *new, x, Y, beta, scheduled, sound, estimate, last.number + 1, size, loose, limited, branch,
+            *new, x, Y, beta, scheduled, sound, estimate,
+            number=last.number + 1, held=size, loose=loose, limited=limited, branch=branch,
         )  # fmt: skip
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:

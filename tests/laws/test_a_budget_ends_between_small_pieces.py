@@ -24,7 +24,7 @@ from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.observability.worst_case import spaced_search
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.records.budget import ENDLESS, Budget
-from sampling_design.uncertain.accuracy import accuracy_over_box
+from sampling_design.uncertain.accuracy import accuracy_over_box, accuracy_varying
 from sampling_design.uncertain.existence import existence_over_box
 from sampling_design.uncertain.inclusion.program import InclusionProgram
 from sampling_design.uncertain.observability import bracket_varying
@@ -138,6 +138,24 @@ def test_a_limit_says_something_of_every_row_however_early_it_ends(pieces, zones
     whole = sd.accuracy.accuracy_limit(plant, rtol=0.2, **asked)
     assert np.all(spent.lower > 0)
     assert np.all(spent.lower <= whole.lower * 1.2)
+
+
+def test_accuracy_along_a_varying_plant_ends_at_the_times_that_it_looked_at(pieces, swing):
+    """All times were looked at, whatever was left: thirteen seconds of fourteen states for a third of one."""
+    asked = {"w_bound": 0.1, "v_bound": 0.1}
+    schedule = sd.Schedule(np.arange(0.0, 4.1, 0.5))
+    whole = sd.guaranteed_accuracy(swing, schedule, **asked)
+    pieces.of(accuracy_varying._CellProgram, "bracket")
+    for budget in (1.0, 20.0):
+        begun = pieces.count
+        found = sd.guaranteed_accuracy(swing, schedule, budget=budget, **asked)
+        assert pieces.count - begun <= budget + 3  # two rows, and finer cells of one
+        assert not found.closed.any()
+        for t in found.times:
+            same, all_same = found.times == t, whole.times == t
+            assert np.all(found.lower[:, same].min(axis=1) <= whole.upper[:, all_same].max(axis=1) * (1 + 1e-9))
+            assert np.all(found.upper[:, same].max(axis=1) * (1 + 1e-9) >= whole.lower[:, all_same].min(axis=1))
+    assert whole.closed.all()
 
 
 def test_all_plants_of_a_box_are_bounded_before_its_corners_are_looked_at(pieces):

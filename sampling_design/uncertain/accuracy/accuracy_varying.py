@@ -29,6 +29,8 @@ LOOKED = 4
 """Times of each gap at which the error is bracketed: just after its sample, in between, and just before the next."""
 CELLS = (8, 16, 32)
 """Cells of a gap on which the adversary's w is constant, one number after the other until the bracket closes."""
+SPREAD = 0.618034
+"""Share by which times are stepped through, from the last one on, when most is known: any part of them lies all over."""
 UNOBSERVABLE = 1e-9  # share of a row that readings may leave of a free start and that counts as rounding
 
 
@@ -39,7 +41,8 @@ class AccuracyAlong(AccuracyBracket):
     Attributes
     ----------
     times : (K,) array
-        Those looked at; of a sample just before it and just after it.
+        Those looked at; of a sample just before it and just after it. All over the schedule, but fewer of them where
+        `budget` ended.
     lower, upper : (r, K) arrays
         Attained by a start, a disturbance and noise within their bounds; guaranteed by gains. Both to `error`;
         infinite where the samples so far do not determine the row.
@@ -155,8 +158,12 @@ def accuracy_along(
     given = Budget(None if budget is None else checks.positive("budget", budget))
     problem = _VaryingProblem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
     lower, upper = (np.zeros((len(problem.rows), len(problem.looked))) for _ in range(2))
-    for k, (gap, part, taken) in enumerate(problem.looked):
+    count, seen = len(problem.looked), np.zeros(len(problem.looked), dtype=bool)
+    for done, k in enumerate(np.argsort((np.arange(count) - count + 1) * SPREAD % 1).tolist(), 1):
+        gap, part, taken = problem.looked[k]
         for i, row in enumerate(problem.rows.matrix):
+            if given.over and seen.any():
+                break
             before = np.inf
             for cells in CELLS:
                 low, up = problem.bracket(row, gap, part, taken, cells)
@@ -166,12 +173,17 @@ def accuracy_along(
                 if given.over:  # the coarsest cells prove a bracket, too
                     break
                 before = up
-        if progress is not None:
-            progress((k + 1) / len(problem.looked), f"{k + 1} of {len(problem.looked)} times")
+        else:
+            seen[k] = True
+            if progress is not None:
+                progress(done / count, f"{done} of {count} times")
+        if given.over:
+            break
+    lower, upper = lower[:, seen], upper[:, seen]
     at = _worst(upper)
     index = np.arange(len(at))
     least, most = lower[index, at], upper[index, at]
-    times = np.array([problem.time(gap, part) for gap, part, _ in problem.looked])
+    times = np.array([problem.time(gap, part) for gap, part, _ in problem.looked])[seen]
     return AccuracyAlong(
         plant=plant,
         schedule=problem.schedule,
@@ -181,7 +193,7 @@ def accuracy_along(
         upper=freeze(upper),
         worst=freeze(times[at]),
         known_from=freeze([_known_from(times, row) for row in upper]),
-        closed=np.isinf(least) | (most <= (1 + rtol) * least),
+        closed=seen.all() & (np.isinf(least) | (most <= (1 + rtol) * least)),
         error=max(level.error for level in problem.levels.values()),
         proven=plant.tabled,
     )

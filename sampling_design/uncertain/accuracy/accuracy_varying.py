@@ -30,7 +30,7 @@ LOOKED = 4
 CELLS = (8, 16, 32)
 """Cells of a gap on which the adversary's w is constant, one number after the other until the bracket closes."""
 SPREAD = 0.618034
-"""Share by which times are stepped through, from the last one on, when most is known: any part of them lies all over."""
+"""Share by which times are stepped through, from the last on, when most is known: any part lies all over."""
 UNOBSERVABLE = 1e-9  # share of a row that readings may leave of a free start and that counts as rounding
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,21 @@ UNSETTLED = ("budget", "interrupted", "rounding", "units", "timing", "too many s
 """Of a search: what ends it with a bracket that is wider than was asked."""
 SHARE = 0.01  # of the least gap: how early or late samples are taken to be where nobody says
 Bracket = TypeVar("Bracket", bound="SigmaBracket")
+
+
+class _Searched(Protocol):
+    @property
+    def status(self) -> str: ...
+
+
+Found = TypeVar("Found", bound=_Searched)
+
+
+def uninterrupted(found: Found) -> Found:
+    """What a search beside sigma found; raises KeyboardInterrupt again if one ended it, so that all beside it ends."""
+    if found.status == "interrupted":
+        raise KeyboardInterrupt
+    return found
 
 
 class ProvenSigma(NamedTuple):
@@ -132,13 +147,17 @@ class SigmaBracket(PlainRecord):
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
         In doubles, also of what ball arithmetic proves. None where sigma is nothing or doubles do not show it, where
-        too little of a budget (over a box of ten times what the bracket took) is left, and after an interrupt, which
-        asks for no more work. Along a plant that varies in time as functions say they are `sampled`, as sigma itself.
+        too little of a budget (over a box of ten times what the bracket took) is left, and after an interrupt (of this
+        work, too), which asks for no more. Along a plant that varies in time as functions say they are `sampled`, as
+        sigma itself.
         """
         if self.status == "interrupted":
             return None
         sigma = self.upper if self.status == "sampled" else self.lower
-        return self.beside() if self.beside is not None and 0 < sigma < np.inf else None
+        try:
+            return self.beside() if self.beside is not None and 0 < sigma < np.inf else None
+        except KeyboardInterrupt:  # the bracket is proven, and is said
+            return None
 
     def _rows(self) -> list[tuple[str, str]]:
         return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]

@@ -76,6 +76,17 @@ def test_an_interrupt_leaves_the_bracket(verb):
     assert kept >= PLACES / 2
 
 
+@pytest.mark.parametrize("verb", few([each for each in VERBS if each != "first windows, varying"], 0, 2, 4))
+def test_an_interrupt_of_what_stands_beside_sigma_leaves_sigma(verb):
+    """Late and lost samples are judged when a record is shown: what it had proven was thrown away with them."""
+    where, call = VERBS[verb]
+    found = call()
+    assert call().deviations is not None
+    with Interrupt(5, where).running():
+        assert found.deviations is None
+    assert (found.status, "sample is lost" in found.explain()) == (call().status, False)
+
+
 def test_a_proof_in_balls_that_is_interrupted_leaves_what_floats_have_proven():
     call = lambda: sd.window_sigma(OSCILLATOR, RHYTHM, 4.0, rigorous=True)  # noqa: E731
     call()

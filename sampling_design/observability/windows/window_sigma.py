@@ -12,7 +12,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for
-from sampling_design.observability.sigma_bracket import SHARE, SigmaBracket, SigmaDeviations
+from sampling_design.observability.sigma_bracket import SHARE, SigmaBracket, SigmaDeviations, uninterrupted
 from sampling_design.observability.windows.pieces import WindowPieces, window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, checked_pieces, sigma_of_pieces
 from sampling_design.plants.plant import Plant
@@ -49,7 +49,7 @@ def deviations_of(
 
     def least(pieces: WindowPieces, seconds: float, reached: float) -> tuple[float, float]:
         found = sigma_of_pieces(plant, schedule, pieces, DEVIATION_RTOL, seconds, reached=reached, handed_over=0.0)
-        return found.lower, found.upper
+        return uninterrupted(found).lower, found.upper
 
     def lost(pieces: WindowPieces, limit: Budget) -> tuple[float, int]:
         return lost_one_by_one(least, plant.n_outputs, len(schedule), pieces, limit)

@@ -18,6 +18,7 @@ from sampling_design.observability.sigma_bracket import (
     coordinates_of,
     in_balls,
     rtol_and_seconds,
+    uninterrupted,
 )
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import observability_matrix
@@ -323,7 +324,7 @@ def worst_case_sigma(
 def _least(plant: Plant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
     bracketed = partial(_bracketed, late=late, rtol=rtol, rng=checks.generator(0), progress=None)
-    return _of_rows(plant, family, seconds, bracketed)[0].lower
+    return uninterrupted(_of_rows(plant, family, seconds, bracketed)[0]).lower
 
 
 def deviations_of_family(

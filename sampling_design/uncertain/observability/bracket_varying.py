@@ -29,7 +29,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.observability.alignment import align
-from sampling_design.observability.sigma_bracket import SigmaDeviations
+from sampling_design.observability.sigma_bracket import SigmaDeviations, uninterrupted
 from sampling_design.observability.windows.bracket import WindowBracket, too_few
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.timing import rows_without
@@ -351,7 +351,7 @@ def window_sigma_varying(
     def least(pieces: WindowPieces, seconds: float, _: float) -> tuple[float, float]:
         # windows that are longer may begin before the horizon: the state is that at its beginning
         left, right = np.maximum(pieces.left, 0.0), np.maximum(pieces.right, 0.0)
-        found = bracket_varying(plant, replace(pieces, left=left, right=right), rough, seconds, flows)
+        found = uninterrupted(bracket_varying(plant, replace(pieces, left=left, right=right), rough, seconds, flows))
         return found.lower if proven else found.witness.sigma, found.witness.sigma
 
     def beside() -> SigmaDeviations | None:

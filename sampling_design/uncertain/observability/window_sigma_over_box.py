@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from sampling_design.observability.alignment import align
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls, uninterrupted
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import checked_pieces
@@ -162,14 +162,14 @@ def window_sigma_over_box(
 
 def _least(model: BoxModel, rtol: float, pieces: WindowPieces, seconds: float, _: float) -> tuple[float, float]:
     """Proven sigma of pieces for all real times within their tolerance, and the least such bound of one plant."""
-    found = _searched(WindowsOverBox(model, pieces), rtol, seconds, None)
+    found = uninterrupted(_searched(WindowsOverBox(model, pieces), rtol, seconds, None))
     return found.lower, found.upper
 
 
 def _lost(model: BoxModel, rtol: float, samples: int, pieces: WindowPieces, limit: Budget) -> tuple[float, int]:
     """Proven sigma if any one sample is lost, and whose loss leaves what is attained: all in one search."""
     asked = WindowsOverBox(model, pieces, losing=True)
-    found = _searched(asked, rtol, limit.left, None)
+    found = uninterrupted(_searched(asked, rtol, limit.left, None))
     return found.lower, int(asked.lost[found.piece]) % samples
 
 

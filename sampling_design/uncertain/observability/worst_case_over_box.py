@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls, uninterrupted
 from sampling_design.observability.worst_case.worst_case_sigma import (
     LEAST_SEARCH,
     WorstCaseSigma,
@@ -185,9 +185,10 @@ def worst_case_over_box(
 def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
     rule = replace(family, time_unit=None)
-    if worst_case_sigma(plant.nominal, rule, rtol, budget=seconds, timing_tolerance=late.plain).lower == 0:
+    inner = worst_case_sigma(plant.nominal, rule, rtol, budget=seconds, timing_tolerance=late.plain)
+    if uninterrupted(inner).lower == 0:
         return 0.0  # a box about a zero is cut for as long as it may be
-    return worst_case_over_box(plant, family, rtol, seconds, timing_tolerance=late.plain).lower
+    return uninterrupted(worst_case_over_box(plant, family, rtol, seconds, timing_tolerance=late.plain)).lower
 
 
 class _LeastSigma(NamedTuple):

@@ -275,7 +275,8 @@ def next_sample(
     prove : bool
         Prove the answer by gains over all real times; else it rests on the search alone.
     budget : float, optional [seconds]
-        Once they are spent, the latest sample that is proven by then is the answer, with less said beside it.
+        Once they are spent, the latest sample that is proven by then is the answer, with less said beside it. An
+        interrupt (KeyboardInterrupt) once there is an answer ends what is said beside it likewise.
 
     Returns
     -------
@@ -329,14 +330,19 @@ def next_sample(
         full = run.soonest(prove)
     keeps = full.kept_from <= at
     alone, alone_deadlines = dict[str, float](), dict[str, GoalDeadline]()
-    for j, name in enumerate(plan.plant.outputs.names):
-        same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
-        if keeps and plan.chosen[:, j].any() and (same or not limit.over):
-            alone[name] = full.t if same else run.answer(j, prove).t
-            why = run.later(None if same else j, alone[name])
-            if why is not None:
-                alone_deadlines[name] = why
-    best = run.best((full.t, full.mask)) if keeps else (full.t, full.mask)
+    best, deadline = (full.t, full.mask), None
+    try:
+        for j, name in enumerate(plan.plant.outputs.names):
+            same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
+            if keeps and plan.chosen[:, j].any() and (same or not limit.over):
+                alone[name] = full.t if same else run.answer(j, prove).t
+                why = run.later(None if same else j, alone[name])
+                if why is not None:
+                    alone_deadlines[name] = why
+        best = run.best(best) if keeps else best
+        deadline = run.later(None, full.t) if keeps else run.breach(best) if exceeded is None else None
+    except KeyboardInterrupt:  # the answer is there: nothing more is said beside it
+        limit.stop()
     return NextSample(
         plan=plan,
         now=at,
@@ -347,7 +353,7 @@ def next_sample(
         best_outputs=_named(plan, best[1]),
         ratio=full.ratio,
         proven=full.proven,
-        deadline=run.later(None, full.t) if keeps else run.breach((full.t, full.mask)) if exceeded is None else None,
+        deadline=deadline,
         alone_deadlines=alone_deadlines,
         kept_from=full.kept_from,
         exceeded=exceeded,

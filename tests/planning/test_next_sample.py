@@ -33,6 +33,19 @@ def deviating(plan, times, seen, resume):
     )
 
 
+def test_an_interrupt_after_the_answer_leaves_it(week, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    week = replace(week, requirement=week.requirement.replace(initial_error=[0.3, 0.05]))
+    whole = sd.next_sample(week, now=0.0)
+    assert whole.keeps
+    monkeypatch.setattr(NextChoices, "best", interrupted)
+    left = sd.next_sample(week, now=0.0)
+    assert (left.latest, left.outputs, left.proven, left.keeps) == (whole.latest, whole.outputs, True, whole.keeps)
+    assert not left.complete
+
+
 def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     unknown = sd.next_sample(week, now=0.0)
     assert "level is not known yet: what was read since the start does not tell the state. A" in unknown.explain()

@@ -1,11 +1,14 @@
 """Timing errors and losses under which a certificate survives."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, plotting
 from sampling_design.certificates.compare.robustness import RobustnessSearch
+from sampling_design.certificates.families.certify_family import FamilySearch
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Budget
 from tests.oracles.families import largest_lambda
@@ -120,6 +123,32 @@ def test_the_same_samples_in_longer_periods_survive_as_much_with_as_little_work(
     once, thrice = found
     assert (thrice.radius, thrice.tolerated) == (once.radius, once.tolerated)
     assert len(thrice.jittered.graph.words) == len(once.jittered.graph.words)
+
+
+@pytest.mark.parametrize("at", [2, 4])
+def test_an_interrupt_leaves_what_was_proven(planned, found, monkeypatch, at):
+    calls, propose = itertools.count(), FamilySearch.propose
+
+    def interrupted(*given, **named):
+        if next(calls) == at:
+            raise KeyboardInterrupt
+        return propose(*given, **named)
+
+    monkeypatch.setattr(FamilySearch, "propose", interrupted)
+    left = sd.robustness(OSCILLATOR, planned, longest=4)
+    assert not left.closed
+    assert 0 < left.radius <= found.radius
+    assert left.jittered.verify().passed
+    assert "an interrupt came" in str(left)
+
+
+def test_an_interrupt_before_anything_is_proven_is_one(planned, monkeypatch):
+    def interrupted(*given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(FamilySearch, "propose", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sd.robustness(OSCILLATOR, planned, longest=4)
 
 
 def test_a_budget_that_runs_out_is_said(planned):

@@ -88,7 +88,7 @@ class Robustness(TableRecord, PlainRecord):
     others : tuple of FamilyTrial
         The families that were asked about.
     closed : bool
-        False if the budget ran out: what is proven stays proven, but more may survive.
+        False if the budget ran out, or after an interrupt: what is proven stays proven, but more may survive.
     """
 
     certificate: Certificate
@@ -136,7 +136,7 @@ class Robustness(TableRecord, PlainRecord):
             ("horizon kept", f"{short(self.length)} {unit}"),
             ("lambda, planned", above(self.certificate.lam)),
             ("lambda, limit", short(self.limit)),
-            ("searches closed", "yes" if self.closed else "no, the budget ran out"),
+            ("searches closed", "yes" if self.closed else "no, the budget ran out or an interrupt came"),
         ]
 
     def explain(self) -> str:
@@ -167,7 +167,7 @@ class RobustnessSearch:
     """Families around one schedule, judged with the weights of its certificate."""
 
     def __init__(self, certificate: Certificate, limit: float, budget: Budget, report: Progress) -> None:
-        self.certificate, self.limit, self.budget, self.report = certificate, limit, budget, report
+        self.certificate, self.limit, self.whole, self.budget, self.report = certificate, limit, budget, budget, report
         c = certificate
         self.plant, self.weights = c.plant, NoiseWeights(c.Qw, c.R, c.Qv)
         self.late = False
@@ -185,6 +185,9 @@ class RobustnessSearch:
                 proposal = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
             except SamplingDesignError:
                 break  # the graph of this level is too large, or the nominal schedule on the edge
+            except KeyboardInterrupt:
+                self.whole.stop()
+                break
             best = min(best, proposal.lam)
             if proposal.P is not None and proposal.lam / (1 - RESOLUTION) < self.limit:
                 return proposal.lam, proposal
@@ -192,9 +195,13 @@ class RobustnessSearch:
         return best, None
 
     def proven(self, family: SamplingFamily, proposal: FamilyProposal) -> FamilyCertificate:
-        """The certificate of a proposal."""
+        """The certificate of a proposal; after an interrupt it is made all the same, and nothing else is sought."""
         within = in_plant_terms(self.plant, family)
-        return certified(self.plant, within, self.weights, proposal)
+        try:
+            return certified(self.plant, within, self.weights, proposal)
+        except KeyboardInterrupt:
+            self.whole.stop()
+            return certified(self.plant, within, self.weights, proposal)
 
     def tried(self, family: SamplingFamily) -> FamilyTrial[SamplingFamily]:
         """One family, with as much memory as is tried for timing errors."""
@@ -294,7 +301,7 @@ def robustness(
     of : str, sequence of str, or (k, n) array, optional
         The rows of the state that the certificate is about; a design is certified for them. Default: all states.
     budget : float [seconds]
-        The searches stop there; `closed` says so.
+        The searches stop there, or at an interrupt (KeyboardInterrupt) once something is proven; `closed` says so.
     progress : callable, optional
         Called with (fraction, message).
 
@@ -355,6 +362,8 @@ def robustness(
     radius, broken, trials, jittered = search.largest_radius(schedule)
     search.budget, search.late, closed = whole, False, not search.late
     losses, thinned = search.most_losses(schedule, most)
+    if whole.limit < 0 and not (radius or thinned):
+        raise KeyboardInterrupt
     return Robustness(
         certificate=planned, length=M, limit=limit, radius=radius, broken=broken, trials=tuple(trials),
         losses=tuple(losses), jittered=jittered, thinned=tuple(thinned), others=others,

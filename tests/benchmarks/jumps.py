@@ -21,6 +21,7 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design import estimators, plotting, schedules
+from sampling_design.checkers.check import verdict
 from sampling_design.observability import observability_matrix
 
 Call = Callable[[], object]
@@ -34,7 +35,9 @@ SHORTEST, LONGEST = 2.0, 20.0
 SIZES = {"states": (1, 2, 4, 8, 16, 32, 64), "samples": (5, 10, 20, 40, 80, 160, 320), "outputs": (1, 2, 4, 8)}
 SHORT = {"states": 16, "samples": 40, "outputs": 4}
 FEW = {"states": 4, "samples": 20, "outputs": 2}
-SLOW = dict.fromkeys(("certify", "accuracy", "finite accuracy", "counts"), FEW) | {"worst case": FEW | {"states": 2}}
+BOXED = ("family", "sigma of a box", "certify a box", "accuracy of a box")
+SLOW = dict.fromkeys(("certify", "checker", "accuracy", "finite accuracy", "counts", *BOXED), FEW)
+SLOW |= {"worst case": FEW | {"states": 2}}
 """What these take at most unless it is to be `--long`: a point of them is seconds."""
 
 MIDDLE = {"states": 2, "samples": 20, "outputs": 1}
@@ -77,10 +80,42 @@ def certified(states: int, samples: int, outputs: int, regular: bool = True, rat
     return lambda: sd.certify(of, at, eta=rate, budget=60)
 
 
-def accuracy(states: int, samples: int, outputs: int, regular: bool = True, ball: bool = False) -> Call:
+def audited(states: int, samples: int, outputs: int, regular: bool = True) -> Call:
+    """What the standalone checker does with a certificate."""
+    made_of = sd.certify(plant(states, outputs), schedule(samples, regular), eta=0.05, budget=60).to_dict()
+    return lambda: verdict(made_of)
+
+
+def family(states: int, samples: int, outputs: int, regular: bool = True, late: float = 0.01) -> Call:
+    of, jitter = plant(states, outputs), sd.Jitter(schedule(samples, regular), late)
+    return lambda: sd.certify(of, jitter, eta=0.02, budget=60)
+
+
+def box(states: int, parameters: int, width: float) -> sd.UncertainPlant:
+    """The same plant, of which some entries of A are known within a width."""
+    parts = np.zeros((parameters, states, states))
+    parts[range(parameters), [k % states for k in range(parameters)], [(k + 1) % states for k in range(parameters)]] = 1
+    known = [sd.UncertainParameter(f"p{k}", -width, width, A=part, nominal=0.0) for k, part in enumerate(parts)]
+    return sd.UncertainPlant(plant(states, 1), known)
+
+
+def over_box(work: Callable[[sd.UncertainPlant, sd.PeriodicSchedule], object]) -> Callable[..., Call]:
+    def ready(
+        states: int, samples: int, outputs: int, regular: bool = True, parameters: int = 1, width: float = 1e-3
+    ) -> Call:
+        del outputs
+        of, at = box(states, parameters, width), schedule(samples, regular)
+        return lambda: work(of, at)
+
+    return ready
+
+
+def accuracy(
+    states: int, samples: int, outputs: int, regular: bool = True, ball: bool = False, late: float = 0.0
+) -> Call:
     of, at = plant(states, outputs), schedule(samples, regular)
     v = 0.1 if ball else np.full(outputs, 0.1)
-    return lambda: sd.guaranteed_accuracy(of, at, w_bound=0.1, v_bound=v, budget=60)
+    return lambda: sd.guaranteed_accuracy(of, at, w_bound=0.1, v_bound=v, timing_tolerance=late, budget=60)
 
 
 def finite_accuracy(states: int, samples: int, outputs: int, regular: bool = True, **given: object) -> Call:
@@ -271,11 +306,27 @@ class Verb:
 
 
 IRREGULAR: dict[str, object] = {"regular": False}
+BOXES: dict[str, dict[str, object]] = {
+    **{f"{count} parameters": {"parameters": count} for count in (2, 3)},
+    **{f"within {width:g}": {"width": width} for width in (1e-8, 1e-5, 1e-2, 0.05)},
+}
 VERBS = {
     "matrix": Verb(matrix, {"irregular": IRREGULAR}),
     "sigma": Verb(sigma, {"irregular": IRREGULAR, "late samples": {"late": 0.01}}),
     "certify": Verb(certified, {"irregular": IRREGULAR, "rate given": {"rate": 0.05}}),
-    "accuracy": Verb(accuracy, {"irregular": IRREGULAR, "noise in a ball": {"ball": True}}),
+    "accuracy": Verb(
+        accuracy, {"irregular": IRREGULAR, "noise in a ball": {"ball": True}, "late samples": {"late": 0.05}}
+    ),
+    "checker": Verb(audited, {"irregular": IRREGULAR}),
+    "family": Verb(family, {"irregular": IRREGULAR} | {f"late by {x:g}": {"late": x} for x in (1e-6, 1e-3, 0.1)}),
+    "sigma of a box": Verb(over_box(lambda of, at: sd.window_sigma(of, at, 7.0, budget=20)), BOXES),
+    "certify a box": Verb(over_box(lambda of, at: sd.certify(of, sd.GapRange(0.5, 1.0), eta=0.02, budget=20)), BOXES),
+    "accuracy of a box": Verb(
+        over_box(
+            lambda of, at: sd.guaranteed_accuracy(of, at, w_bound=[0.1] * of.nominal.n_states, v_bound=[0.1], budget=20)
+        ),
+        BOXES,
+    ),
     "finite accuracy": Verb(
         finite_accuracy,
         {
@@ -357,6 +408,10 @@ LENGTHS = {
     "words": Verb(of_result(said), KINDS | {"interval": {"kind": "interval"}}, lengths=True),
     "proof": Verb(
         of_result(lambda known: known.verify(), "certificate"), {"interval": {"kind": "interval"}}, lengths=True
+    ),
+    "interval checked": Verb(of_result(lambda known: known.verify(rigorous=True), "interval"), {}, lengths=True),
+    "radii of all": Verb(
+        of_record(lambda known: ESTIMATORS["filter"](known.plant).run(known).to_frame()), ROWS, lengths=True
     ),
 }
 VERBS |= LENGTHS

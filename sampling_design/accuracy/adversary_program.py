@@ -16,7 +16,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sampled_system import SampledSystem
-from sampling_design.accuracy.unknown_start import LastingResponses
+from sampling_design.accuracy.unknown_start import LastingResponses, LastingTrajectory
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram, StageSolution
@@ -44,6 +44,7 @@ class Adversary:
     z: Array  # (K, n)
     sample: int
     system: SampledSystem  # with the cells on which w is constant
+    past: LastingTrajectory | None = None  # by which it came to its first state, unless that is rest or a known start
 
     @property
     def end(self) -> Array:
@@ -109,6 +110,8 @@ class ConeWindow:
         table.end("zero")
         if lasting is None:
             self.start.pose(table, ball=False)
+        else:
+            lasting.pose(table, before, ball=False)
         noisy = [(k * n, s.H[~s.exact]) for k, s in enumerate(samples)]
         each = [(at, H, system.bounds.v_ball and len(H) > 1) for at, H in noisy]
         self._box_at = [-1 if r else table.box(at, H, np.ones(len(H))) for at, H, r in each]
@@ -119,7 +122,7 @@ class ConeWindow:
         if lasting is None:
             self.start.pose(table, ball=True)
         else:
-            lasting.pose(table, before)
+            lasting.pose(table, before, ball=True)
         if system.bounds.w_ball and q:
             table.unit_balls(K * n, q, (before - K * n) // q)
         self._columns = table.columns
@@ -148,14 +151,14 @@ class ConeWindow:
             return self._nowhere()
         w, y = tuple(x[i:j] for i, j in pairwise(self._w_at)), y * size
         z, costates = x[: K * n].reshape(K, n), y[: (K - 1) * n].reshape(-1, n)
-        return StageSolution(z, w, tuple(self._gains(y)), costates, np.zeros(0), np.inf)
+        return StageSolution(z, w, tuple(self._gains(y)), costates, np.zeros(0), np.inf, x[self._w_at[-1] :])
 
     def _nowhere(self) -> StageSolution:
         system, K = self.system, len(self.nodes)
         w = tuple(np.zeros(system.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
         gains = tuple(np.zeros(len(system.samples[j].H)) for j in self.nodes)
         z, costates = np.zeros((K, system.D.size)), np.zeros((K - 1, system.D.size))
-        return StageSolution(z, w, gains, costates, np.zeros(0), np.inf)
+        return StageSolution(z, w, gains, costates, np.zeros(0), np.inf, np.zeros(0))
 
     def gains(self, mu: Array, enough: float = 0.0) -> Gains:
         """Return the best gains for the target mu'z_K, with what they prove; good ones, if that is `enough`."""
@@ -207,9 +210,10 @@ class ConeWindow:
         system, n, K = self.system, mu.size, len(self.nodes)
         none = self._nowhere()
         best = Adversary(0.0, none.u, none.z, self.nodes[-1], system)
+        first, past = self._first(point)
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
-            z[0] = self._first(point.z[0])
+            z[0] = first
             for k, j in enumerate(self.nodes[:-1]):
                 gap = system.gap(j)
                 u = point.u[k].reshape(len(gap.cells), system.G.shape[1])
@@ -220,32 +224,33 @@ class ConeWindow:
                     u = u + extra.reshape(u.shape)
                     z[k + 1] += flat @ extra
                 w.append(u)
-            factor = self._excess(z, w)
+            factor = self._excess(z, w, past)
             value, scaled = float(mu @ z[-1]) / factor, tuple(u / factor for u in w)
-            found = Adversary(value, scaled, z / factor, self.nodes[-1], system)
+            begun = None if past is None else past.scaled(1 / factor)
+            found = Adversary(value, scaled, z / factor, self.nodes[-1], system, begun)
             if np.isfinite(factor) and found.value > best.value:
                 best = found
             if best.value > 0 and factor <= 1 + SLIGHT:
                 break
         return best
 
-    def _first(self, z: Array) -> Array:
-        """The state of an adversary at the first sample, from a solver's: admissible before it, but for its size."""
-        system, at = self.system, self.nodes[0]
+    def _first(self, point: StageSolution) -> tuple[Array, LastingTrajectory | None]:
+        """The first state of an adversary, from a solver's, and its past: admissible, but for its size."""
+        system, z = self.system, point.z[0]
         if self.start is system.start:
-            return system.admissible_start(z)
-        if system.lasting is None or not self.start.support(np.ones_like(z), 1.0):
-            return np.zeros_like(z)
-        x = system.lasting.nearest(system.D * (system.L[at] @ z))
-        return np.asarray(np.linalg.solve(system.L[at], x / system.D))
+            return system.admissible_start(z), None
+        if self._lasting is None or not point.others.any():
+            return np.zeros_like(z), None
+        past = self._lasting.trajectory(point.others)
+        return np.linalg.solve(system.L[self.nodes[0]], past.state / system.D), past
 
-    def _excess(self, z: Array, w: list[Array]) -> float:
+    def _excess(self, z: Array, w: list[Array], past: LastingTrajectory | None) -> float:
         """Least factor by which bounds must grow for this trajectory, at least 1."""
         system, factor = self.system, 1.0
         if system.start is not None and self.start is system.start:
             factor = max(factor, system.start.excess(z[0]))
-        elif z[0].any() and system.lasting is not None:
-            factor = max(factor, system.lasting.excess(system.D * (system.L[self.nodes[0]] @ z[0])))
+        elif past is not None:
+            factor = max(factor, past.excess(system.plant, system.bounds))
         for u in w:
             size = np.linalg.norm(u, axis=1) if system.bounds.w_ball else np.abs(u)
             factor = max(factor, float(np.max(size, initial=0.0)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,6 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, transferred_gains
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
-from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -189,16 +188,10 @@ class GainSearch:
             gains, begun = self.window(j, self.deep, False, rough, True).both(mu)
             adversary = max(adversary, begun, key=lambda one: one.value)
         if not from_rest and lasting is not None:
-            adversary = max(adversary, self._for_ever(j, mu, lasting), key=lambda one: one.value)
+            for_ever = self.window(j, 1, False, rough, True).both(mu)[1]  # as modes do, whenever samples come
+            adversary = max(adversary, for_ever, key=lambda one: one.value)
         self._keep(j, adversary)
         return gains, adversary
-
-    def _for_ever(self, j: int, mu: Array, lasting: LastingResponses) -> Adversary:
-        """The strongest adversary against mu'z_j that has gone on for ever as modes do, whenever samples come."""
-        system = self.system
-        x = lasting.strongest(np.linalg.solve(system.L[j].T, mu) / system.D)
-        z = np.linalg.solve(system.L[j], x / max(1.0, lasting.excess(x)) / system.D)
-        return Adversary(float(mu @ z), (), z[None], j, self.system)
 
     def _keep(self, j: int, adversary: Adversary) -> None:
         """Keep an adversary, and what it is at the samples of the last period on its way."""
@@ -206,7 +199,7 @@ class GainSearch:
         rests = self.system.start is None and not adversary.z[0].any()
         nodes = self.system.latest(j, count)
         for k in range(max(int(rests), count - len(self.system)), count):
-            part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1], nodes[k], adversary.system)
+            part = replace(adversary, value=0.0, w=adversary.w[:k], z=adversary.z[: k + 1], sample=nodes[k])
             self.adversaries[nodes[k]].append(part)
 
     def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:

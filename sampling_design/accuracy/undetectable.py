@@ -148,8 +148,10 @@ def output_scales(plant: Plant, period: float) -> Array:
     rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
     span = min(period * plant.n_states, GROWN / rate if rate > 0 else np.inf)
     times = span * (np.arange(8 * plant.n_states + 1) / (8 * plant.n_states)) ** GOLDEN
-    size = np.linalg.norm(plant.C * balance, axis=1, keepdims=True)
-    C = plant.C * balance / np.where(size > 0, size, 1.0)
+    C = plant.C * balance
+    for order in (np.inf, 2):  # squares of what is left have no units to overflow in
+        sizes = np.linalg.norm(C, ord=order, axis=1, keepdims=True)
+        C = C / np.where(sizes > 0, sizes, 1.0)
     outputs_at = C @ expm_batch(plant.A * balance / balance[:, None] - rate * np.eye(plant.n_states), times)
     norms = np.linalg.norm(outputs_at.reshape(-1, plant.n_states), axis=0)
     return np.asarray(balance / np.where((norms > 0) & np.isfinite(norms), norms, 1.0))

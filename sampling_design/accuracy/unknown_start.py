@@ -2,14 +2,15 @@
 
 Responses that are bounded for all times before: they may have gone on for ever, within the bounds on w and noise.
 
-x(t - s) = Re sum_m X_m c_m e^{-mu_m s},  w = Re sum_m W_m c_m e^{-mu_m s},  (mu_m - A) X_m = G W_m,  Re mu_m >= 0:
-|C_i x(t - s)| <= sum_m |C_i X_m| |c_m|  and  |w_k(t - s)| <= sum_m |W_km| |c_m|  for all s >= 0
+x(t - s) = Re sum_m X_m c_m e^{-mu_m s},  w = Re sum_m W_m c_m e^{-mu_m s},  (mu_m - A) X_m = G W_m,  Re mu_m >= 0;
+responses at i omega h, h odd, of one mode turn together: for all s >= 0
+|C_i x(t - s)| <= sum_omega max_a |Re sum_h C_i X_h c_h e^{i h a}|,  and |w_k(t - s)| likewise
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +21,7 @@ from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array, Complex, Mask
+from sampling_design.records.arrays import Array, Complex, Index, Mask
 
 LASTS = 1e-12
 """Share of |A| below which a mode does not decay, and within which a direction is an eigenvector: rounding alone."""
@@ -28,24 +29,88 @@ LASTS = 1e-12
 AMONG = 1e-9
 """A state is that of a lasting response if what is left of it, balanced, is below this share of it: rounding alone."""
 
+HARMONICS = (3, 5)
+"""Odd multiples of an undamped mode's rate at which w may hide it, too; of what w(t) = sign sin hides they reach all
+but percents, and each is a column more for each entry of w."""
 
-EVENED = 40
-"""Rounds in which the steady disturbance that hides a mode best is sought; its largest ratio then is right to
-percents, and what is attained is evaluated with it as it is."""
+ANGLES = 32  # of half a turn, at which a program bounds what harmonics of one mode show together
+FINE_ANGLES = 4096  # the same where it is evaluated, with what may lie between two: a share of 2e-6
+
+
+@dataclass(frozen=True, eq=False)
+class LastingTrajectory:
+    """One trajectory that has gone on for ever, as it stands at its end: X c and W c of each of its M responses."""
+
+    rates: Complex  # (M,): mu of the mode
+    multiples: Index  # (M,): h; the response has Re mu + i h Im mu
+    x: Complex  # (n, M)
+    w: Complex  # (q, M)
+
+    @property
+    def state(self) -> Array:
+        """(n,) where it ends."""
+        return np.asarray(self.x.sum(axis=1).real)
+
+    def scaled(self, factor: float | Complex) -> LastingTrajectory:
+        """The same, so many times as large, each response by its own factor if there are several."""
+        return replace(self, x=self.x * factor, w=self.w * factor)
+
+    def excess(self, plant: Plant, bounds: SignalBounds) -> float:
+        """By which factor it may exceed the bounds at any time before; infinite if it is no trajectory of the plant."""
+        scale, h = _scales(plant)[0], self.multiples
+        rates = self.rates.real + 1j * h * self.rates.imag
+        left = np.abs(rates * self.x - plant.A @ self.x - plant.G @ self.w) / scale[:, None]
+        terms = (np.abs(rates * self.x) + np.abs(plant.A) @ np.abs(self.x) + np.abs(plant.G) @ np.abs(self.w)) / scale[
+            :, None
+        ]
+        held = np.linalg.norm(left, axis=0) <= AMONG * np.linalg.norm(terms, axis=0)
+        if not (
+            held.all() and np.all(self.rates.real >= 0) and np.all((h == 1) | (self.rates.real == 0) & (h % 2 == 1))
+        ):
+            return np.inf
+        shown = np.abs(plant.C @ self.x)
+        exact = bounds.v.min(axis=0) == 0
+        y = plant.C @ self.x
+        y[exact[:, None] & (shown <= LASTS * plant.n_states * (np.abs(plant.C) @ np.abs(self.x)))] = 0.0
+        v, w = (
+            sum((_largest(h[own], each[:, own]) for own in self._modes()), np.zeros(len(each))) for each in (y, self.w)
+        )
+        return max(
+            _beyond(v, bounds.v.min(axis=0), bounds.v_ball),
+            _beyond(w, bounds.w, bounds.w_ball),
+        )
+
+    def _modes(self) -> list[Mask]:
+        """Responses of one mode, whose phases turn together, mode by mode."""
+        return [self.rates == rate for rate in np.unique(self.rates)]
+
+
+def _beyond(sizes: Array, most: Array, ball: bool) -> float:
+    """By which factor sizes exceed what bounds them."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(sizes > 0, sizes / most, 0.0)
+    return float(np.linalg.norm(ratio) if ball else np.max(ratio, initial=0.0))
+
+
+def _largest(h: Index, parts: Complex) -> Array:
+    """(k,) the largest |Re sum_m parts_m e^{i h_m a}| over all angles a, odd h; no less, and 2e-6 more at most."""
+    if np.all(h == 1):
+        return np.asarray(np.abs(parts.sum(axis=1)))
+    turned = np.exp(1j * np.pi / FINE_ANGLES * np.arange(FINE_ANGLES)[:, None] * h)
+    between = np.cos(np.pi * h.max() / (2 * FINE_ANGLES))  # of a trigonometric polynomial of degree h
+    return np.asarray(np.abs((parts @ turned.T).real).max(axis=1, initial=0.0) / between)
 
 
 @dataclass(frozen=True, eq=False)
 class LastingResponses:
-    """All that modes which do not decay span, each with a disturbance at its own rate, or none, that hides it.
+    """All that modes which do not decay span, each with the disturbances at its own rate, and at odd multiples of an
+    undamped mode's, that may hide it.
 
     Where nothing drives a mode, the states that are driven may make up for what outputs show of it.
     """
 
-    scale: Array  # (n,): of the states; balances A
-    modes: Complex  # (n, m): X in that scale
-    # (p, m): what outputs show of each at most, in units of the least noise that a sample of the period bounds them by
-    output_sizes: Array
-    w_sizes: Array  # (q, m): W, in units of the bounds
+    span: LastingTrajectory  # its responses, each as large as the bounds allow it to be alone
+    shown: Complex  # (p + q, M): C X and W, in units of the bounds
     v_ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
     w_ball: bool  # whether w is
     undriven: bool  # whether a mode is beyond the reach of w
@@ -53,152 +118,117 @@ class LastingResponses:
     @classmethod
     def of(cls, plant: Plant, bounds: SignalBounds) -> LastingResponses:
         """Return those of a plant."""
-        balance = balanced_schur(plant.A).d
-        rate = float(np.linalg.norm(plant.A * balance / balance[:, None], 2))
-        scale = output_scales(plant, 1 / rate if rate > 0 else 1.0)
-        A, n = plant.A * scale / scale[:, None], plant.n_states
+        scale, size = _scales(plant)
+        A, n, q = plant.A * scale / scale[:, None], plant.n_states, plant.n_disturbances
         G, C = plant.G * bounds.w / scale[:, None], plant.C * scale
-        size, v, undriven = float(np.linalg.norm(A, 2)), bounds.v.min(axis=0), False
-        modes = [np.zeros((n, 0), dtype=np.complex128)]
-        steady = [np.zeros((bounds.w.size, 0), dtype=np.complex128)]
+        v, undriven = bounds.v.min(axis=0), False
+        rates, multiples, X, W = [], [], [np.zeros((n, 0), dtype=complex)], [np.zeros((q, 0), dtype=complex)]
         for cluster in eigenvalue_clusters(A):
-            value = complex(cluster.value)
-            if value.real >= -LASTS * size:
-                left, sizes, right = np.linalg.svd(value * np.eye(n) - A)
-                none = sizes <= LASTS * n * size
-                own = right[none].conj().T
-                own[np.abs(own) < LASTS] = 0.0
-                across = left[:, none].conj().T  # what is seen of the mode itself
-                free = _null_space(across @ G, float(np.linalg.norm(G)))  # w that do not drive it
-                undriven |= free.shape[1] > G.shape[1] - own.shape[1]
-                moved = right[~none].conj().T @ (left[:, ~none].conj().T @ (G @ free) / sizes[~none, None])
-                moved -= own @ np.linalg.lstsq(across @ own, across @ moved)[0]
-                W = _steady(C @ own, C @ moved, free, bounds)
-                modes.append(own + moved @ W)
-                steady.append(free @ W)
-        X, W = np.hstack(modes), np.hstack(steady)
-        shown = np.abs(C @ X)
-        shown[(v == 0)[:, None] & (shown <= LASTS * n * (np.abs(C) @ np.abs(X)))] = 0.0
-        with np.errstate(divide="ignore"):
-            output_sizes = np.divide(shown, v[:, None], out=np.zeros_like(shown), where=shown > 0)
-        return cls(scale, X, output_sizes, np.abs(W), bounds.v_ball, bounds.w_ball, undriven)
+            undamped = abs(cluster.value.real) <= LASTS * size
+            rate = complex(0.0 if undamped else cluster.value.real, cluster.value.imag)
+            if rate.real < 0 or rate.imag < 0:  # what decays, and conjugates
+                continue
+            left, sizes, right = np.linalg.svd(rate * np.eye(n) - A)
+            none = sizes <= LASTS * n * size
+            own = right[none].conj().T
+            own[np.abs(own) < LASTS] = 0.0
+            across = left[:, none].conj().T  # what is seen of the mode itself
+            free = _null_space(across @ G, float(np.linalg.norm(G)))  # w that do not drive it
+            undriven |= free.shape[1] > q - own.shape[1]
+            moved = right[~none].conj().T @ (left[:, ~none].conj().T @ (G @ free) / sizes[~none, None])
+            moved -= own @ np.linalg.lstsq(across @ own, across @ moved)[0]
+            found = [(1, np.hstack([own, moved]), np.hstack([np.zeros((q, own.shape[1])), free]))]
+            for h in HARMONICS if undamped and rate.imag > 0 and own.size else ():
+                turning = h * rate * np.eye(n) - A
+                if np.linalg.norm(turning, -2) > LASTS * n * size:  # else it is the rate of another mode
+                    found.append((h, np.linalg.solve(turning, G.astype(complex)), np.eye(q, dtype=complex)))
+            for h, x, w in found:
+                hides = _hiding(x, C[v == 0])
+                X.append(x @ hides)
+                W.append(w @ hides)
+                rates += [rate] * hides.shape[1]
+                multiples += [h] * hides.shape[1]
+        x, w = np.hstack(X), np.hstack(W)
+        noisy = (v > 0)[:, None]
+        shown = np.vstack([np.divide(C @ x, v[:, None], out=np.zeros((len(C), x.shape[1]), complex), where=noisy), w])
+        unit = np.abs(shown).max(axis=0, initial=0.0)
+        used = np.isfinite(unit) & (unit > 0)
+        x, w, shown = (each[:, used] / unit[used] for each in (x * scale[:, None], w * bounds.w[:, None], shown))
+        span = LastingTrajectory(np.array(rates, complex)[used], np.array(multiples, int)[used], x, w)
+        return cls(span, shown, bounds.v_ball, bounds.w_ball, undriven)
 
-    def _shares(self, x: Array) -> Complex:
-        return np.asarray(np.linalg.lstsq(self.modes, (x / self.scale).astype(complex))[0])
-
-    def nearest(self, x: Array) -> Array:
-        """The state of a lasting response that is nearest to x."""
-        return np.asarray(self.scale * (self.modes @ self._shares(x)).real)
-
-    def strongest(self, row: Array) -> Array:
-        """The state of a lasting response, within the bounds at all times before, with about the largest row'x."""
-        from scipy.optimize import linprog
-
-        reached, every = (row * self.scale) @ self.modes, np.vstack([self.output_sizes, self.w_sizes])
-        finite = np.isfinite(every).all(axis=0)
-        sizes, every = np.abs(reached) * finite, np.where(finite, every, 0.0)
-        largest = every.max(axis=0, initial=0.0)
-        unit = np.where(largest > 0, largest, 1.0)
-        with np.errstate(over="ignore"):
-            aims = sizes * (largest > 0) / unit
-        if not 0 < aims.max(initial=0.0) < np.inf:
-            return np.zeros(row.size)
-        # shares of the largest: a solver takes 1e20 for infinite, and what is far below 1 for nothing
-        found = linprog(
-            -aims / aims.max(),
-            A_ub=every / unit,
-            b_ub=np.ones(len(every)),
-            bounds=[(0.0, float(s > 0)) for s in largest],
-        )
-        if found.x is None:  # sizes too far apart for a solver: any state will do, and rest is one
-            return np.zeros(row.size)
-        return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
+    def trajectory(self, shares: Array) -> LastingTrajectory:
+        """That of the first variables of a program, in the order of `begin`."""
+        real, imaginary = shares[: 2 * self.span.rates.size].reshape(2, -1)
+        c = real + 1j * imaginary
+        return self.span.scaled(c)
 
     @property
     def columns(self) -> int:
         """How many variables of a program stand for a response."""
-        return 3 * int(self.modes.shape[1])
-
-    def _units(self) -> tuple[Array, Mask]:
-        """(m,) the most that outputs and w show of each, and which are bounded by it at all."""
-        largest = np.vstack([self.output_sizes, self.w_sizes]).max(axis=0, initial=0.0)
-        usable = np.isfinite(largest) & (largest > 0)
-        return np.where(usable, largest, 1.0), usable
+        return int(2 * self.span.rates.size + len(self.span._modes()) * len(self.shown))
 
     def begin(self, table: ConeTable, at: int, change: Array) -> None:
         """Let the first variables of a program, z = change x, be the state of a response whose variables begin at `at`.
 
-        These are sizes, real parts and imaginary parts of the shares.
+        These are real and imaginary parts of the shares, then what each mode shows at most.
         """
-        units, usable = self._units()
-        X = change * self.scale @ np.where(usable, self.modes / units, 0.0)
-        n, m = X.shape
-        table.add(np.zeros(n), (0, np.eye(n)), (at + m, np.hstack([-X.real, X.imag])))
+        X = change @ self.span.x
+        table.add(np.zeros(len(X)), (0, np.eye(len(X))), (at, np.hstack([-X.real, X.imag])))
 
-    def pose(self, table: ConeTable, at: int) -> None:
-        """Let the shares be no larger than their sizes, and these within the bounds at all times before."""
-        units, usable = self._units()
-        m = units.size
-        for k in range(m):
-            table.put(np.arange(3), at + k + m * np.arange(3), -np.ones(3))
-            table.more(np.zeros(3))
-            table.end("second order")
-        for sizes, ball in ((self.output_sizes, self.v_ball), (self.w_sizes, self.w_ball)):
-            rows = np.where(usable, sizes, 0.0) / units
-            for part in [rows] if ball else rows[:, None]:
-                table.ball(at, part)
+    def pose(self, table: ConeTable, at: int, *, ball: bool) -> None:
+        """Bound what each mode shows, at angles where harmonics turn with it, and their sums at all times before.
 
-    def excess(self, x: Array) -> float:
-        """By which factor that through x may exceed the bounds at any time before; infinite if none is."""
-        shares = self._shares(x)
-        z = x / self.scale
-        if np.linalg.norm(z - self.modes @ shares) > AMONG * np.linalg.norm(z):
-            return np.inf
-        with np.errstate(invalid="ignore"):
-            v, w = (
-                np.where(np.abs(shares) > 0, each * np.abs(shares), 0.0).sum(axis=1)
-                for each in (self.output_sizes, self.w_sizes)
-            )
-        both = ((v, self.v_ball), (w, self.w_ball))
-        return max(float(np.linalg.norm(each) if ball else np.max(each, initial=0.0)) for each, ball in both)
+        The part of it that is of second-order cones (`ball`), or the other.
+        """
+        M, k, modes = self.span.rates.size, len(self.shown), self.span._modes()
+        p = k - len(self.span.w)
+        for place, own in enumerate(modes):
+            h, sizes = self.span.multiples[own], at + 2 * M + place * k + np.arange(k)
+            columns = at + np.concatenate([np.flatnonzero(own), M + np.flatnonzero(own)])
+            if bool(np.all(h == 1)) != ball:
+                continue
+            turns = np.ones((1, 1)) if ball else np.exp(1j * np.pi / ANGLES * np.arange(ANGLES)[:, None] * h)
+            for size, part in zip(sizes, self.shown[:, own], strict=True):
+                real, turned = np.hstack([(turns * part).real, -(turns * part).imag]), turns * part
+                if ball:  # |sum| <= size
+                    rows = np.vstack([real, np.hstack([turned.imag, turned.real])])
+                    table.put(np.array([0]), np.array([size]), -np.ones(1))
+                    table.put(np.arange(1, 3)[:, None], columns, rows)
+                    table.more(np.zeros(3))
+                    table.end("second order")
+                else:
+                    both = np.vstack([real, -real])
+                    table.put(np.arange(len(both))[:, None], columns, both)
+                    table.put(np.arange(len(both)), np.full(len(both), size), -np.ones(len(both)))
+                    table.more(np.zeros(len(both)))
+        for first, last, round_ in ((0, p, self.v_ball), (p, k, self.w_ball)):
+            sums = np.tile(np.eye(k)[first:last], len(modes))
+            if round_ is ball and ball and last > first:
+                table.ball(at + 2 * M, sums)
+            elif round_ is ball and last > first:
+                table.add(np.ones(last - first), (at + 2 * M, sums))
+
+
+def _scales(plant: Plant) -> tuple[Array, float]:
+    """(n,) sizes of the states that balance A, and the size of A in them."""
+    balance = balanced_schur(plant.A).d
+    rate = float(np.linalg.norm(plant.A * balance / balance[:, None], 2))
+    scale = output_scales(plant, 1 / rate if rate > 0 else 1.0)
+    return scale, float(np.linalg.norm(plant.A * scale / scale[:, None], 2))
+
+
+def _hiding(X: Complex, C: Array) -> Complex:
+    """Shares of responses X, by column, of which exact sensors C see nothing."""
+    size = np.linalg.norm(X, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    return np.asarray(_null_space(C @ (X / size), float(np.linalg.norm(C))) / size[:, None])
 
 
 def _null_space(M: Array | Complex, size: float) -> Complex:
     """Orthonormal columns that M (k, q) makes nothing of, but for rounding of entries of a size."""
     _, sizes, right = np.linalg.svd(M)
     return np.asarray(right[np.count_nonzero(sizes > LASTS * max(M.shape) * size) :].conj().T, dtype=np.complex128)
-
-
-def _steady(own: Complex, moved: Complex, free: Complex, bounds: SignalBounds) -> Complex:
-    """(k, m): by column the u with about the least of |own + moved u| / v and |free u|, by whichever is the largest.
-
-    Lawson's weights; rows of exact sensors show nothing, where that can be.
-    """
-    v, count, k = bounds.v.min(axis=0), own.shape[1], moved.shape[1]
-    found = np.zeros((k, count), dtype=np.complex128)
-    exact, some = v == 0, (v > 0) & np.isfinite(v)
-    if not k:
-        return found
-    inner = _null_space(moved[exact], float(np.linalg.norm(moved[exact])))
-    rows = np.vstack([moved[some] / v[some, None], free])
-    seen, q = int(some.sum()), len(free)
-    groups = np.zeros(seen, dtype=int) if bounds.v_ball else np.arange(seen)
-    groups = np.append(groups, seen + (np.zeros(q, dtype=int) if bounds.w_ball else np.arange(q)))
-    for m in range(count):
-        first = np.linalg.lstsq(moved[exact], -own[exact, m])[0] if exact.any() else np.zeros(k)
-        given = np.concatenate([own[some, m] / v[some], np.zeros(q)]) + rows @ first
-        weights, least = np.ones(seen + q), np.inf
-        for _ in range(EVENED):
-            root = np.sqrt(weights[groups])
-            u = np.linalg.lstsq(root[:, None] * rows @ inner, -root * given)[0]
-            left = np.sqrt(np.bincount(groups, np.abs(given + rows @ inner @ u) ** 2, minlength=seen + q))
-            if left.max() < least:
-                least, found[:, m] = left.max(), first + inner @ u
-            total = float(weights @ left)
-            if total == 0:
-                break
-            weights = weights * left / total
-    return found
 
 
 CHANGED = 1e-11  # share of the gains, in units of the noise, that may be changed to take away what they leave: rounding

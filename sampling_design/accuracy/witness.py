@@ -16,7 +16,7 @@ from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import NEGLIGIBLE, GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
-from sampling_design.accuracy.unknown_start import LastingResponses
+from sampling_design.accuracy.unknown_start import AMONG, LastingTrajectory
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -52,8 +52,8 @@ class WitnessRun(NamedTuple):
 class AccuracyWitness(Record):
     """A disturbance and a noise that keep their bounds and that no estimator can tell from nothing at all.
 
-    The state starts at 0 (or within what is known at the start; on an endless schedule also on a free response that has
-    gone on for ever, within the noise); every sample shows y = C x + v = 0, so that +x and -x look alike, and any
+    The state starts at 0 (or within what is known at the start; on an endless schedule also on responses that have
+    gone on for ever, within the bounds); every sample shows y = C x + v = 0, so that +x and -x look alike, and any
     estimator errs by `value` on one of them.
 
     Attributes
@@ -73,6 +73,8 @@ class AccuracyWitness(Record):
         What each sample measures.
     value : float
         row'x at the end.
+    past : LastingTrajectory, optional
+        What has gone on for ever before the first sample, and ends in its state.
     """
 
     plant: Plant
@@ -84,6 +86,7 @@ class AccuracyWitness(Record):
     states: Array
     outputs: Mask
     value: float
+    past: LastingTrajectory | None = None
 
     _table = {"value": "{value:down}", "samples": "{samples.size}", "duration": "{edges[-1]} {plant.time_unit}"}
 
@@ -133,7 +136,9 @@ class AccuracyWitness(Record):
     def within(self, excess: float, value: float) -> AccuracyWitness:
         """Return the witness made so small that bounds which it exceeds by a factor are kept; `value` is its row."""
         factor = max(excess, 1.0)
-        return replace(self, w=freeze(self.w / factor), states=freeze(self.states / factor), value=value / factor)
+        w, states = freeze(self.w / factor), freeze(self.states / factor)
+        past = None if self.past is None else self.past.scaled(1 / factor)
+        return replace(self, w=w, states=states, value=value / factor, past=past)
 
     def scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
@@ -176,7 +181,8 @@ class AccuracyWitness(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         outputs = self.outputs.astype(int).tolist()
-        return {**selected(self, "row edges w samples last states value"), "outputs": outputs}
+        plain = {**selected(self, "row edges w samples last states value"), "outputs": outputs}
+        return plain if self.past is None else {**plain, "past": selected(self.past, "rates multiples x w")}
 
 
 def _cell_flows(A: Array, G: Array, edges: Array) -> tuple[Array, Index]:
@@ -244,7 +250,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     """Return row'x at the end of a witness simulated anew, and the factor by which w, v and start exceed their bounds.
 
     Without `initial` the schedule is endless and the witness starts from rest, or from what has gone on for ever
-    without a disturbance, within the noise; with it, one that starts at the first node may start anywhere in that set.
+    within the bounds; with it, one that starts at the first node may start anywhere in that set.
     """
     v, x, moved = witness.simulate(bounds.w)  # an entry that the witness hardly uses may close a gap, too
     period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
@@ -254,8 +260,11 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
         begun = initial.excess(witness.states[0])
     elif initial is not None and (witness.states[0].any() or witness.last + 1 < len(v)):
         legal = False
+    elif witness.past is not None:
+        ends = np.abs(witness.states[0] - witness.past.state) <= AMONG * np.abs(witness.past.x).sum(axis=1)
+        begun = witness.past.excess(witness.plant, bounds) if ends.all() else np.inf
     elif witness.states[0].any():
-        begun = LastingResponses.of(witness.plant, bounds).excess(witness.states[0])
+        legal = False
     if not legal or np.isnan(moved).any():
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
@@ -315,8 +324,11 @@ def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset
         states[0] -= unit * np.linalg.lstsq(shown * unit, shown @ states[0])[0]
     w_cells, last = freeze(np.concatenate(w) if w else np.zeros((0, scale.size))), system.sample_of(adversary.sample)
     ends, value = freeze(np.concatenate(edges)), float(abs(reached) + opened.below[offset])
+    past = None if adversary.past is None else adversary.past.scaled(sign)
+    if past is not None:
+        states[0] = past.state
     return AccuracyWitness(
-        system.plant, freeze(row), ends, w_cells, freeze(samples), last, freeze(states), measured[nodes], value=value
+        system.plant, freeze(row), ends, w_cells, freeze(samples), last, freeze(states), measured[nodes], value, past
     )
 
 

@@ -45,6 +45,8 @@ class StageSolution:
         Multipliers of |S z_0| <= 1.
     gap : float
         The two sides' difference, relative to the larger one.
+    others : (r,) array
+        Variables that a general solver's program has beside z and u.
     """
 
     z: Array
@@ -53,6 +55,7 @@ class StageSolution:
     costates: Array
     start: Array
     gap: float
+    others: Array
 
 
 class StageProgram:
@@ -192,7 +195,7 @@ class StageProgram:
         at = self._many + self._reading_ends
         multipliers = [size * q[i:j] for i, j in pairwise(at)]
         u = [t[i:j] for i, j in pairwise(self._places)]
-        return StageSolution(z, tuple(u), tuple(multipliers), size * p, size * q[self._many : at[0]], gap)
+        return StageSolution(z, tuple(u), tuple(multipliers), size * p, size * q[self._many : at[0]], gap, np.zeros(0))
 
     def _first(self, p: Array, target: Array, gains: Array) -> Array:
         """First multipliers, which balance those of a guess; their costates are written to p."""

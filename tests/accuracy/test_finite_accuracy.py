@@ -8,9 +8,12 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy import finite
 from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.cone_table import ConeTable
+from sampling_design.numerics.conic_programs import ConeSolver
 from tests.cases import few
 from tests.oracles import accuracy as oracle
 
@@ -21,10 +24,22 @@ SCHEDULE = sd.Schedule(TIMES)
 
 @pytest.mark.parametrize("size", [1e-200, 1e-25, 1.0, 1e25, 1e200])
 def test_the_strongest_lasting_response_is_the_same_in_any_units(size):
-    """Of x1 + x2 where noise allows |x1| + 2 |x2| <= 1 and |x1| <= 1, in units of the size."""
-    shown, still = size * np.array([[1.0, 2.0], [1.0, 0.0]]), np.zeros((1, 2))
-    lasting = LastingResponses(np.ones(2), np.eye(2, dtype=complex), shown, still, False, False, undriven=True)
-    assert size * lasting.strongest(np.array([1.0, 1.0])) == pytest.approx([1.0, 0.0], rel=1e-9, abs=1e-9)
+    """Of x1 + x2 where noise allows |x1 + 2 x2| <= 1 and |x1| <= 1, in units of the size, once w drives neither."""
+    plant = sd.Plant(np.zeros((2, 2)), size * np.array([[1.0, 2.0], [1.0, 0.0]]), G=np.zeros((2, 1)))
+    bounds = SignalBounds.of(plant, 1, None, 0.0, [1.0, 1.0])
+    lasting = LastingResponses.of(plant, bounds)
+    assert lasting.undriven
+    table = ConeTable(2 + lasting.columns)
+    lasting.begin(table, 2, size * np.eye(2))
+    table.end("zero")
+    lasting.pose(table, 2, ball=False)
+    table.end("nonnegative")
+    lasting.pose(table, 2, ball=True)
+    solver = ConeSolver(table.matrix(), table.cones, tolerance=1e-11)
+    found, *_ = solver.solve(np.append([-1.0, -1.0], np.zeros(lasting.columns)), table.b())
+    past = lasting.trajectory(found[2:])
+    assert size * past.state == pytest.approx([1.0, 0.0], rel=1e-9, abs=1e-9)
+    assert past.excess(plant, bounds) == pytest.approx(1.0, rel=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -61,4 +61,6 @@ def _absent(package: str, name: str, public: list[str], rooms: tuple[str, ...]) 
     hint = f"; did you mean {close!r}?" if close else ""
     # `from package import NAME` swallows an AttributeError with its words, and says only "cannot import name"
     importing = bool(hint) and sys._getframe(2).f_code.co_name == "_handle_fromlist"
-    return (ImportError if importing else AttributeError)(message + hint)
+    if importing:
+        return ImportError(message + hint)
+    return AttributeError(message + hint, name=name)  # else Python fills it in, and appends a nearest name of its own

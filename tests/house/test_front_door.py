@@ -80,8 +80,9 @@ def test_an_unknown_name_is_refused():
     ],
 )
 def test_a_mistyped_name_suggests_the_right_one(typed, meant):
-    with pytest.raises(AttributeError, match=f"has no attribute '{typed}'; did you mean '{meant}'"):
+    with pytest.raises(AttributeError, match=f"has no attribute '{typed}'; did you mean '{meant}'") as raised:
         getattr(sampling_design, typed)
+    assert raised.value.obj is None  # else Python prints a nearest name of its own behind it
     with pytest.raises(ImportError, match=f"did you mean '{meant}'"):
         exec(f"from sampling_design import {typed}")
 

@@ -136,6 +136,16 @@ COUPLED = {
 }
 
 
+def of_twenty_samples(found, A, c, G, row, w, noise):
+    """What twenty samples leave open of a state, by the oracle, at the time at which the record has its worst."""
+    t, turns, schedule = float(found.worst[0]), np.arange(20, -3, -1), found.schedule
+    past = (schedule.times - schedule.period * turns[:, None]).ravel()
+    past = past[past < t - 1e-9][-20:]
+    later, row = t - float(past[-1]), np.eye(len(A))[row]
+    most, _, _ = adversary(A, [c], G, past, row @ expm(np.array(A) * later), w, noise, 4)
+    return most + flown(A, G, row, later, w)
+
+
 @pytest.mark.parametrize(("name", "unit"), few(product(COUPLED, [1.0, 1e9]), 0))
 def test_what_is_driven_beside_it_hides_it_as_long_as_it_can(name, unit):
     """The adversary is the best of all that went on for ever and then turned: no other leaves more open."""
@@ -145,13 +155,36 @@ def test_what_is_driven_beside_it_hides_it_as_long_as_it_can(name, unit):
     plant = sd.Plant(np.array(A) * sizes[:, None] / sizes, [c / sizes], G=sizes[:, None] * G)
     schedule = sd.PeriodicSchedule(gaps)
     found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=noise, of="x1", rtol=0.1)
-    t, turns = float(found.worst[0]), np.arange(20, -3, -1)
-    past = (schedule.times - schedule.period * turns[:, None]).ravel()
-    past = past[past < t - 1e-9][-20:]
-    later, row = t - float(past[-1]), np.eye(len(A))[0]
-    most, _, _ = adversary(A, [c], G, past, row @ expm(np.array(A) * later), 0.1, noise, 4)
-    most += flown(A, G, row, later, 0.1)
+    most = of_twenty_samples(found, A, c, G, 0, 0.1, noise)
     assert 0.93 * most <= found.lower[0] / sizes[0] <= most * 1.01
     assert found.upper[0] / sizes[0] >= 0.97 * most  # of so many samples, where for ever is meant
     assert found.closed.all()
     assert found.verify()
+
+
+@pytest.mark.parametrize(("turn", "unit"), few(product([1.76, 0.9], [1.0, 1e9]), 0, 3))
+def test_odd_multiples_of_its_rate_hide_an_undamped_mode(turn, unit):
+    """At its own rate alone a disturbance hides a sixth and a ninth less; what goes on for ever is proven anew."""
+    A, c, G = (
+        np.array([[-0.4, 0.0, 0.0], [0.0, 0.0, turn], [0.0, -turn, 0.0]]),
+        np.array([1.0, 1.0, 0.0]),
+        np.eye(3)[:, :1],
+    )
+    sizes = np.array([1 / unit, unit, 1.0])
+    plant = sd.Plant(A * sizes[:, None] / sizes, [c / sizes], G=sizes[:, None] * G)
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([0.5, 0.8]), w_bound=1.0, v_bound=0.1, of="x2")
+    assert found.closed.all()
+    assert found.verify()
+    most = of_twenty_samples(found, A, c, G, 1, 1.0, 0.1)
+    assert 0.9 * most <= found.lower[0] / unit <= most  # of so many samples, where for ever is meant
+    (witness,) = found.witnesses
+    begun = witness.past
+    assert {1, 3, 5} == set(begun.multiples)
+    for forged in (
+        replace(witness, past=None),
+        replace(witness, past=begun.scaled(1.1), states=1.1 * witness.states),
+        replace(witness, past=replace(begun, multiples=begun.multiples + 1)),
+        replace(witness, past=replace(begun, rates=1.1 * begun.rates)),
+        replace(witness, past=replace(begun, w=0.9 * begun.w)),
+    ):
+        assert not replace(found, witnesses=(forged,)).verify()

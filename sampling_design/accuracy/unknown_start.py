@@ -57,28 +57,26 @@ class LastingTrajectory:
 
     def excess(self, plant: Plant, bounds: SignalBounds) -> float:
         """By which factor it may exceed the bounds at any time before; infinite if it is no trajectory of the plant."""
-        scale, h = _scales(plant)[0], self.multiples
-        rates = self.rates.real + 1j * h * self.rates.imag
-        left = np.abs(rates * self.x - plant.A @ self.x - plant.G @ self.w) / scale[:, None]
-        terms = (np.abs(rates * self.x) + np.abs(plant.A) @ np.abs(self.x) + np.abs(plant.G) @ np.abs(self.w)) / scale[
-            :, None
-        ]
-        held = np.linalg.norm(left, axis=0) <= AMONG * np.linalg.norm(terms, axis=0)
-        if not (
-            held.all() and np.all(self.rates.real >= 0) and np.all((h == 1) | (self.rates.real == 0) & (h % 2 == 1))
-        ):
+        scale, h, v = _scales(plant)[0][:, None], self.multiples, bounds.v.min(axis=0)
+        turned = (self.rates.real + 1j * h * self.rates.imag) * self.x
+        left = np.abs(turned - plant.A @ self.x - plant.G @ self.w)
+        terms = np.abs(turned) + np.abs(plant.A) @ np.abs(self.x) + np.abs(plant.G) @ np.abs(self.w)
+        solved = np.linalg.norm(left / scale, axis=0) <= AMONG * np.linalg.norm(terms / scale, axis=0)
+        undamped = (self.rates.real == 0) & (h % 2 == 1) & (h <= HARMONICS[-1])
+        if not np.all(solved & (self.rates.real >= 0) & ((h == 1) | undamped)):
             return np.inf
-        shown = np.abs(plant.C @ self.x)
-        exact = bounds.v.min(axis=0) == 0
         y = plant.C @ self.x
-        y[exact[:, None] & (shown <= LASTS * plant.n_states * (np.abs(plant.C) @ np.abs(self.x)))] = 0.0
-        v, w = (
-            sum((_largest(h[own], each[:, own]) for own in self._modes()), np.zeros(len(each))) for each in (y, self.w)
-        )
+        rounding = LASTS * plant.n_states * (np.abs(plant.C) @ np.abs(self.x))
+        y[(v == 0)[:, None] & (np.abs(y) <= rounding)] = 0.0
         return max(
-            _beyond(v, bounds.v.min(axis=0), bounds.v_ball),
-            _beyond(w, bounds.w, bounds.w_ball),
+            _beyond(self._most(y), v, bounds.v_ball),
+            _beyond(self._most(self.w), bounds.w, bounds.w_ball),
         )
+
+    def _most(self, parts: Complex) -> Array:
+        """(k,) what its parts (k, M) of an output or of w are at most, at any time before."""
+        each = [_largest(self.multiples[own], parts[:, own]) for own in self._modes()]
+        return np.asarray(sum(each, np.zeros(len(parts))))
 
     def _modes(self) -> list[Mask]:
         """Responses of one mode, whose phases turn together, mode by mode."""
@@ -103,14 +101,14 @@ def _largest(h: Index, parts: Complex) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LastingResponses:
-    """All that modes which do not decay span, each with the disturbances at its own rate, and at odd multiples of an
-    undamped mode's, that may hide it.
+    """All that modes which do not decay span, each with the disturbances that may hide it.
 
-    Where nothing drives a mode, the states that are driven may make up for what outputs show of it.
+    These are at its own rate, and at odd multiples of an undamped mode's. Where nothing drives a mode, the states that
+    are driven may make up for what outputs show of it.
     """
 
     span: LastingTrajectory  # its responses, each as large as the bounds allow it to be alone
-    shown: Complex  # (p + q, M): C X and W, in units of the bounds
+    ratios: Complex  # (p + q, M): C X and W, in units of the bounds
     v_ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
     w_ball: bool  # whether w is
     undriven: bool  # whether a mode is beyond the reach of w
@@ -143,19 +141,19 @@ class LastingResponses:
                 if np.linalg.norm(turning, -2) > LASTS * n * size:  # else it is the rate of another mode
                     found.append((h, np.linalg.solve(turning, G.astype(complex)), np.eye(q, dtype=complex)))
             for h, x, w in found:
-                hides = _hiding(x, C[v == 0])
-                X.append(x @ hides)
-                W.append(w @ hides)
-                rates += [rate] * hides.shape[1]
-                multiples += [h] * hides.shape[1]
+                unobserved = _unobserved_shares(x, C[v == 0])
+                X.append(x @ unobserved)
+                W.append(w @ unobserved)
+                rates += [rate] * unobserved.shape[1]
+                multiples += [h] * unobserved.shape[1]
         x, w = np.hstack(X), np.hstack(W)
         noisy = (v > 0)[:, None]
-        shown = np.vstack([np.divide(C @ x, v[:, None], out=np.zeros((len(C), x.shape[1]), complex), where=noisy), w])
-        unit = np.abs(shown).max(axis=0, initial=0.0)
+        ratios = np.vstack([np.divide(C @ x, v[:, None], out=np.zeros((len(C), x.shape[1]), complex), where=noisy), w])
+        unit = np.abs(ratios).max(axis=0, initial=0.0)
         used = np.isfinite(unit) & (unit > 0)
-        x, w, shown = (each[:, used] / unit[used] for each in (x * scale[:, None], w * bounds.w[:, None], shown))
+        x, w, ratios = (each[:, used] / unit[used] for each in (x * scale[:, None], w * bounds.w[:, None], ratios))
         span = LastingTrajectory(np.array(rates, complex)[used], np.array(multiples, int)[used], x, w)
-        return cls(span, shown, bounds.v_ball, bounds.w_ball, undriven)
+        return cls(span, ratios, bounds.v_ball, bounds.w_ball, undriven)
 
     def trajectory(self, shares: Array) -> LastingTrajectory:
         """That of the first variables of a program, in the order of `begin`."""
@@ -166,7 +164,7 @@ class LastingResponses:
     @property
     def columns(self) -> int:
         """How many variables of a program stand for a response."""
-        return int(2 * self.span.rates.size + len(self.span._modes()) * len(self.shown))
+        return int(2 * self.span.rates.size + len(self.span._modes()) * len(self.ratios))
 
     def begin(self, table: ConeTable, at: int, change: Array) -> None:
         """Let the first variables of a program, z = change x, be the state of a response whose variables begin at `at`.
@@ -181,7 +179,7 @@ class LastingResponses:
 
         The part of it that is of second-order cones (`ball`), or the other.
         """
-        M, k, modes = self.span.rates.size, len(self.shown), self.span._modes()
+        M, k, modes = self.span.rates.size, len(self.ratios), self.span._modes()
         p = k - len(self.span.w)
         for place, own in enumerate(modes):
             h, sizes = self.span.multiples[own], at + 2 * M + place * k + np.arange(k)
@@ -189,7 +187,7 @@ class LastingResponses:
             if bool(np.all(h == 1)) != ball:
                 continue
             turns = np.ones((1, 1)) if ball else np.exp(1j * np.pi / ANGLES * np.arange(ANGLES)[:, None] * h)
-            for size, part in zip(sizes, self.shown[:, own], strict=True):
+            for size, part in zip(sizes, self.ratios[:, own], strict=True):
                 real, turned = np.hstack([(turns * part).real, -(turns * part).imag]), turns * part
                 if ball:  # |sum| <= size
                     rows = np.vstack([real, np.hstack([turned.imag, turned.real])])
@@ -218,7 +216,7 @@ def _scales(plant: Plant) -> tuple[Array, float]:
     return scale, float(np.linalg.norm(plant.A * scale / scale[:, None], 2))
 
 
-def _hiding(X: Complex, C: Array) -> Complex:
+def _unobserved_shares(X: Complex, C: Array) -> Complex:
     """Shares of responses X, by column, of which exact sensors C see nothing."""
     size = np.linalg.norm(X, axis=0)
     size = np.where(size > 0, size, 1.0)

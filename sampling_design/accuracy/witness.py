@@ -328,7 +328,16 @@ def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset
     if past is not None:
         states[0] = past.state
     return AccuracyWitness(
-        system.plant, freeze(row), ends, w_cells, freeze(samples), last, freeze(states), measured[nodes], value, past
+        plant=system.plant,
+        row=freeze(row),
+        edges=ends,
+        w=w_cells,
+        samples=freeze(samples),
+        last=last,
+        states=freeze(states),
+        outputs=measured[nodes],
+        value=value,
+        past=past,
     )
 
 

@@ -219,7 +219,7 @@ def answer_of(
 
 
 def bracket_of_rows(
-    asked: AccuracyQuestion, rows: Array, tolerance: float, limit: Budget, attacked: int
+    asked: AccuracyQuestion, rows: Array, tolerance: float, limit: Budget, opposed: int
 ) -> tuple[Array, Array]:
     """Return what is attained of the first so many rows at times as planned, and what gains prove of all: no profile.
 
@@ -228,7 +228,7 @@ def bracket_of_rows(
     question = asked.primitive()
     known = question.lasting()
     upper = np.full(len(rows), np.inf if known.lift.shape[1] or known.modes else 0.0)
-    lower = upper[:attacked].copy()
+    lower = upper[:opposed].copy()
     safe = [k for k, row in enumerate(rows) if known.plant.n_states and not known.touches(row)]
     if not safe:
         return lower, upper
@@ -237,7 +237,7 @@ def bracket_of_rows(
     for k, row in zip(safe, found, strict=True):
         again = search.opened(row.row, row.opened)
         upper[k] = search.top(again)[0] * (1 + MARGIN)
-        if k < attacked:
+        if k < opposed:
             lower[k] = _witness(search, question, again, False, KEPT * upper[k], limit)[0].value * (1 - KEPT)
     return lower, upper
 

@@ -356,12 +356,12 @@ def _seek(search: GainSearch, found: RowSearch, zoned: bool, rtol: float) -> Non
     if zoned:
         last = found.opened[j].d.size - 1
         for k in range(1, OFFSETS + 1):
-            search.attack(j, found.opened[j].mu[last * k // OFFSETS], rough=True)
+            search.oppose(j, found.opened[j].mu[last * k // OFFSETS], rough=True)
             if search.budget.over:
                 return
         at = int(np.argmax(search.attained(found, j)))
     while True:
-        search.attack(j, found.opened[j].mu[at])
+        search.oppose(j, found.opened[j].mu[at])
         now = float(search.attained(found, j)[at])
         if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES or search.budget.over:
             break

@@ -169,11 +169,11 @@ class GainSearch:
 
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
-        found, adversary = self.attack(j, mu, rough)
+        found, adversary = self.oppose(j, mu, rough)
         self.directions[j].add(mu, gains := self.followed(j, mu, found.gains))  # when the past is endless
         return gains, adversary
 
-    def attack(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
+    def oppose(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """The same, of which only the adversary is kept: what the gains prove is for its own window.
 
         From rest, or where that leads nowhere or w does not reach all modes, from what has gone on for ever.

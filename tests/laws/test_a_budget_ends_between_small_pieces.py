@@ -131,7 +131,7 @@ def test_a_limit_says_something_of_every_row_however_early_it_ends(pieces, zones
     plant = sd.Plant(rng.standard_normal((6, 6)) / 2 - np.eye(6), rng.standard_normal((2, 6)))
     asked = {"w_bound": 0.1, "v_bound": 0.1, "zones": zones, "period": zones and 2.0}
     pieces.of(limit, "periodic_system")
-    pieces.of(limit.GainSearch, "attack")
+    pieces.of(limit.GainSearch, "oppose")
     spent = sd.accuracy.accuracy_limit(plant, budget=1e-3, **asked)
     assert pieces.count <= 14  # steps that settle, one system, one adversary for all six rows
     assert (spent.closed, spent.verify()) == (False, True)

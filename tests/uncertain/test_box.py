@@ -359,8 +359,8 @@ def test_accuracy_over_a_box_around_a_plant_at_rest_that_nothing_drives(absent):
 
 
 def test_accuracy_that_cannot_be_bounded_says_so(monkeypatch):
-    def one(asked, rows, tolerance, limit, attacked):
-        return np.zeros(attacked), np.full(len(rows), np.inf)
+    def one(asked, rows, tolerance, limit, opposed):
+        return np.zeros(opposed), np.full(len(rows), np.inf)
 
     monkeypatch.setattr(accuracy_over_box, "bracket_of_rows", one)
     monkeypatch.setattr(accuracy_over_box, "SECONDS", 0.0)
@@ -401,9 +401,9 @@ def test_growth_beyond_doubles_is_refused_in_one_sentence():
 def test_accuracy_over_a_box_keeps_to_its_budget_where_every_plant_takes_all_it_is_given(monkeypatch, seconds):
     clock = [0.0]
 
-    def spent(asked, rows, tolerance, limit, attacked):
+    def spent(asked, rows, tolerance, limit, opposed):
         clock[0] += limit.seconds
-        return np.zeros(attacked), np.ones(len(rows))
+        return np.zeros(opposed), np.ones(len(rows))
 
     monkeypatch.setattr(accuracy_over_box, "bracket_of_rows", spent)
     monkeypatch.setattr("sampling_design.records.budget.now", lambda: clock[0])

@@ -140,10 +140,10 @@ def accuracy_over_box(
     worst = [middle] * len(rows)
     start = BoxCells(middle[None], whole[None], np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
 
-    def one(member: Plant, w: Array, v: Array, rows: Array, attacked: int) -> Both:
+    def one(member: Plant, w: Array, v: Array, rows: Array, opposed: int) -> Both:
         asked = AccuracyQuestion.of(member, schedule, w, v)
         left = Budget(given.seconds_left(SHORTEST * given.seconds, PART))
-        return bracket_of_rows(asked, rows, FINER * rtol, left, attacked)
+        return bracket_of_rows(asked, rows, FINER * rtol, left, opposed)
 
     def enough(bound: Array, best: Array) -> Mask:
         return np.asarray(-bound * (1 - rtol) <= -best)

@@ -42,6 +42,7 @@ from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+from sampling_design.records.declarations import below
 from sampling_design.records.vector_bounds import VectorBound
 
 NO_CLAIM = "No a-priori claim: a filter, not the estimator of the certificate."
@@ -244,7 +245,7 @@ class KalmanFilter(WindowedEstimator):
             covariances, estimates = smoothed.spread.covariances(), []
         if not np.isfinite(smoothed.nodes).all() or not np.isfinite(covariances).all():
             raise ArgumentError(
-                f"`record` must be shorter at the rate eta = {self.weights.eta:.6g}: over {last.t - first.t:.6g} "
+                f"`record` must be shorter at the rate eta = {below(self.weights.eta)}: over {last.t - first.t:.6g} "
                 f"{self.plant.time_unit} its discount falls below all numbers. Smooth it in parts (`between`)."
             )
         at = {t: j for j, t in enumerate(window.times.tolist())}

@@ -193,8 +193,7 @@ def bracket_varying(
     nodes, status = _begun(search)
     heap = [(search.least(a, b), g, a.at, a, b) for g, own in enumerate(nodes) for a, b in pairwise(own)]
     heapq.heapify(heap)
-    floors = np.array([max(min(node.sigma - node.off for node in own), 0.0) if own else 0.0 for own in nodes])
-    floors[[not own or own[0].at > left for own, left in zip(nodes, pieces.left.tolist(), strict=True)]] = 0.0
+    floors = _floors(nodes, pieces)
     met = ((g, node) for g, own in enumerate(nodes) for node in own)
     g, best = min(met, key=lambda found: found[1].sigma, default=(0, nothing))
     for _ in range(most if status == "closed" else 0):
@@ -231,9 +230,16 @@ def bracket_varying(
     for low, piece, *_ in heap:
         floors[piece] = min(floors[piece], low)
     if not plant.tabled:
-        met_any = status != "interrupted" and np.isfinite(best.sigma)
-        return _bracket(search, nodes, g, best, np.zeros(len(pieces)), "sampled" if met_any else status)
+        floors = np.zeros(len(pieces))
+        status = "sampled" if status != "interrupted" and np.isfinite(best.sigma) else status
     return _bracket(search, nodes, g, best, floors, status)
+
+
+def _floors(nodes: list[list[_EvaluatedStart]], pieces: WindowPieces) -> Array:
+    """What sigma is not below at the nodes of each piece; 0 of one that is not looked at from its beginning on."""
+    floors = np.array([max(min(node.sigma - node.off for node in own), 0.0) if own else 0.0 for own in nodes])
+    floors[[not own or own[0].at > left for own, left in zip(nodes, pieces.left.tolist(), strict=True)]] = 0.0
+    return floors
 
 
 def kept_flows(plant: TimeVaryingPlant) -> Flows:

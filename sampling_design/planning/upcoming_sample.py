@@ -344,24 +344,11 @@ def next_sample(
     except KeyboardInterrupt:  # the answer is there: nothing more is said beside it
         limit.stop()
     return NextSample(
-        plan=plan,
-        now=at,
-        latest=full.t,
-        outputs=_named(plan, full.mask),
-        alone=alone,
-        best=best[0],
-        best_outputs=_named(plan, best[1]),
-        ratio=full.ratio,
-        proven=full.proven,
-        deadline=deadline,
-        alone_deadlines=alone_deadlines,
-        kept_from=full.kept_from,
-        exceeded=exceeded,
-        known=known,
-        judged_until=run.judged_until(max(at, full.t)),
-        complete=not limit.over,
-        awaited=_out(plan, run.history, at),
-    )
+        plan=plan, now=at, latest=full.t, outputs=_named(plan, full.mask), alone=alone, best=best[0],
+        best_outputs=_named(plan, best[1]), ratio=full.ratio, proven=full.proven, deadline=deadline,
+        alone_deadlines=alone_deadlines, kept_from=full.kept_from, exceeded=exceeded, known=known,
+        judged_until=run.judged_until(max(at, full.t)), complete=not limit.over, awaited=_out(plan, run.history, at),
+    )  # fmt: skip
 
 
 def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:

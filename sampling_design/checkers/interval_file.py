@@ -9,7 +9,6 @@ import numpy as np
 from .parts import AROUND, Plant, misnamed
 from .strict import Array, Tree, flag, list_of, matrix, nonnegative, number, or_nothing, positive, refuse, table, text
 
-MOST_ROWS = 5000  # that were read
 _numbers = list_of(number)
 _row = table({"row": _numbers, "y": number, "size": nonnegative, "below": flag, "since": or_nothing(number)})
 _timed = table({"t": number, "rows": list_of(_row)})
@@ -85,7 +84,6 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     rows, R = read["rows"]["matrix"], sum(len(rows) for _, rows, _ in read["readings"])
     r = len(rows)
     need(n > 0 and r > 0 and rows.shape == (r, n), "rows.matrix", f"must have rows of {n} numbers")
-    need(R <= MOST_ROWS, "readings", f"must hold at most {MOST_ROWS} rows")
     for key in ("names", "units"):
         need(len(read["rows"][key]) == r, f"rows.{key}", f"must have {r} entries")
     called = list(zip(read["rows"]["names"], read["rows"]["units"], strict=True))

@@ -513,10 +513,11 @@ def test_a_start_is_closed_by_later_readings_where_the_first_do_not_show_it():
     assert found.verify(rigorous=True)
 
 
-def test_a_file_of_many_rows_over_a_long_gap_needs_little_memory_and_time(monkeypatch):
+@pytest.mark.parametrize("count", [100, 3000])
+def test_a_file_of_many_rows_over_a_long_gap_needs_little_memory_and_time(count, monkeypatch):
     """Costates of every panel and question were one array, and gains of zero were multiplied out as rationals."""
     made = state_interval(SPRING, [(0.0, [0.1], None), (1.0, [0.1], None)], w_bound=0.1, v_bound=0.3)._sealed()
-    count, row = 100, made["readings"][-1]["rows"][0]
+    row = made["readings"][-1]["rows"][0]
     made |= {"readings": [{"t": t, "rows": count * [row]} for t in (0.0, 60.0)], "t": 60.0}
     made["start"]["time"] = 0.0
     made |= {"gains": 2 * [2 * [2 * count * [0.0]]], "lower": [None, None], "upper": [1e9, None]}

@@ -30,7 +30,7 @@ _SPREAD = 0.5  # |t| times a block's spread of eigenvalues up to which its polyn
 _EXTRA_TERMS = 14  # beyond the block's size: 0.5^15/15! is below eps
 _FAR = 1e4  # |t||A| up to which a block of equal eigenvalues gets as many terms as it needs
 _CANCELLED = 200.0  # terms this much larger than their sum are added up by scaling and squaring instead
-_LARGEST = 128  # states above which the dense route is taken: storage and refinement grow like n^3
+_LARGEST = 256  # states above which the dense route is taken: storage and refinement grow like n^3
 _LONG = float(np.finfo(np.longdouble).eps)
 
 

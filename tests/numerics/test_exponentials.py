@@ -140,8 +140,8 @@ def test_route_is_named():
     assert exponential(library.satellite().A).route == "modal"
     wide = np.triu(-np.ones((8, 8))) + np.diag(-0.2 * np.arange(8))
     assert ModalFlow(wide).route == "mixed"
-    large = ModalFlow(np.diag(-np.arange(130.0)))
-    assert (large.route, large.reason) == ("dense", "more than 128 states")
+    large = ModalFlow(np.diag(-np.arange(260.0)))
+    assert (large.route, large.reason) == ("dense", "more than 256 states")
     assert ModalFlow(rotation(6)).reason == ""
 
 

@@ -63,3 +63,18 @@ def test_such_a_word_is_found():
         "motion", "bears", "sharper theorem",
     ]  # fmt: skip
     assert replaced_words("| not | but |\n|---|---|\n| raster | time grid |\n\nA raster.\n") == ["raster"]
+
+
+INSIDE = re.compile(r"^(?!\$\$).*\S.*\n\$\$(?!\$)", re.MULTILINE)
+"""A display that begins in the line after text is none: what follows is typeset as a formula, the formula as text."""
+
+
+def test_no_display_begins_within_a_paragraph():
+    inside = "so that\n$$x^2$$\nfor all $x$"
+    assert INSIDE.search(inside)
+    assert not INSIDE.search("so that\n\n$$x^2$$\n$$y^2$$\n\nfor all $x$")
+    assert [
+        p.name
+        for p in PAGES
+        if p.suffix == ".md" and INSIDE.search(re.sub(r"\$\$.+?\$\$", "$$", text_of(p), flags=re.DOTALL))
+    ] == []

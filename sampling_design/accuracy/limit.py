@@ -39,9 +39,7 @@ NODES = 512  # nodes that an adversary may last
 CROWDED = 160  # nodes of one period, all zones together
 SCALINGS = 80  # halvings and doublings of the time constant after which a step that settles is given up
 SHALLOW = 32  # nodes of the first trajectory
-TRIED = (
-    4  # adversaries that are made to keep their bounds between nodes, at most: one may shrink less than a stronger one
-)
+TRIED = 4  # adversaries that are made to keep bounds between nodes, at most: a weaker one may shrink less
 OFFSETS = 5  # offsets of the longest gap between zones that are looked at first
 ON_EDGE = 1e-9  # share of the times at hand within which the end of a gap and that of a zone are one
 

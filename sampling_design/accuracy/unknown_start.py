@@ -69,8 +69,8 @@ class LastingTrajectory:
         rounding = LASTS * plant.n_states * (np.abs(plant.C) @ np.abs(self.x))
         y[(v == 0)[:, None] & (np.abs(y) <= rounding)] = 0.0
         return max(
-            _beyond(self._most(y), v, bounds.v_ball),
-            _beyond(self._most(self.w), bounds.w, bounds.w_ball),
+            beyond(self._most(y), v, ball=bounds.v_ball),
+            beyond(self._most(self.w), bounds.w, ball=bounds.w_ball),
         )
 
     def _most(self, parts: Complex) -> Array:
@@ -83,8 +83,8 @@ class LastingTrajectory:
         return [self.rates == rate for rate in np.unique(self.rates)]
 
 
-def _beyond(sizes: Array, most: Array, ball: bool) -> float:
-    """By which factor sizes exceed what bounds them."""
+def beyond(sizes: Array, most: Array, *, ball: bool = False) -> float:
+    """By which factor sizes exceed what bounds them, each by itself or all together; 0 is within a bound of 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(sizes > 0, sizes / most, 0.0)
     return float(np.linalg.norm(ratio) if ball else np.max(ratio, initial=0.0))

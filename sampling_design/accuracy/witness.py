@@ -16,7 +16,7 @@ from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import NEGLIGIBLE, GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
-from sampling_design.accuracy.unknown_start import AMONG, LastingTrajectory
+from sampling_design.accuracy.unknown_start import AMONG, LastingTrajectory, beyond
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -171,11 +171,11 @@ class AccuracyWitness(Record):
 
     def explain(self) -> str:
         """Say what the witness does."""
-        start = "an admissible start" if self.states[0].any() else "rest"
+        start, count = "an admissible start" if self.states[0].any() else "rest", self.samples.size
         return (
             f"From {start}, a disturbance within its bound moves the row to {below(self.value)} in "
-            f"{short(self.edges[-1])} {self.plant.time_unit} while noise within its bound makes all "
-            f"{self.samples.size} samples read zero."
+            f"{short(self.edges[-1])} {self.plant.time_unit} while noise within its bound makes "
+            f"{'the one sample' if count == 1 else f'all {count} samples'} read zero."
         )
 
     def to_dict(self) -> dict[str, Plain]:
@@ -273,14 +273,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     noise = np.where((limit == 0) & (noise <= rounding), 0.0, noise)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
-    return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit), begun)
-
-
-def _excess(size: Array, limit: Array) -> float:
-    """The largest ratio; an exact sensor is kept within rounding of what it would show without its neighbours."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(size > 0, size / limit, 0.0)
-    return float(np.max(ratio, initial=0.0))
+    return float(witness.row @ x), max(beyond(w, bounds.w), beyond(noise, limit), begun)
 
 
 def physical(row: Array, opened: RowBetweenSamples, adversary: Adversary, offset: int) -> AccuracyWitness:

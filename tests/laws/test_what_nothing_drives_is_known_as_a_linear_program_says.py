@@ -180,6 +180,7 @@ def test_odd_multiples_of_its_rate_hide_an_undamped_mode(turn, unit):
     (witness,) = found.witnesses
     begun = witness.past
     assert {1, 3, 5} == set(begun.multiples)
+    assert "makes the one sample read zero" in replace(witness, samples=np.zeros(1)).explain()
     for forged in (
         replace(witness, past=None),
         replace(witness, past=begun.scaled(1.1), states=1.1 * witness.states),

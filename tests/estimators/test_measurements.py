@@ -16,6 +16,7 @@ from sampling_design.plotting import style
 from sampling_design.records.file_io import MISSING
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import import_time_stamps
+from tests.cases import few
 
 PLANT = Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -65,6 +66,37 @@ def test_rows_of_inputs_only_and_agreeing_repetitions(tmp_path):
     record = MovingHorizonEstimator(PLANT, horizon=4.0).run(found)
     assert len(record) == 2
     assert record.status == ("predicted", "ok") or record.status == ("prior", "ok")
+
+
+@pytest.mark.parametrize("seed", few(range(12), 0, 5))
+def test_the_order_of_rows_changes_nothing(seed, tmp_path):
+    """A late result with a blank input was measured under the input of its time, not under that of the row before."""
+    rng = np.random.default_rng(seed)
+    cells = [[f"{k}", *(["", f"{rng.normal()}"][c] for c in rng.integers(2, size=3))] for k in range(9)]
+    cells[0][3] = "0.5"
+    ends = [f"{k + 1.5}" if k and not row[3] and rng.random() < 0.4 else "" for k, row in enumerate(cells)]
+    lines = [",".join([row[0], end, *row[1:]]) + "\n" for row, end in zip(cells, ends, strict=True)]
+    head = "time,time_until,gauge,flow,pump\n"
+    sorted_rows = list(read_measurements(written(tmp_path, head + "".join(lines)), PLANT).in_order())
+    again = [*rng.permutation(lines), *rng.choice(lines, 2)]  # and what stands there twice
+    found = list(read_measurements(written(tmp_path, head + "".join(again)), PLANT).in_order())
+    assert list(map(str, found)) == list(map(str, sorted_rows))
+    held = 0.0
+    for row in cells:
+        held = float(row[3] or held)
+        assert all(u.tolist() == [held] for t, _, u in found if t == float(row[0]))
+
+
+def test_a_record_without_inputs_is_written_as_under_none(tmp_path):
+    times, y = [4.0, 1.0, (2.0, 3.0)], [[1.0, np.nan], [0.5, 2.0], [np.nan, 0.3]]
+    spans = [t if isinstance(t, tuple) else (t, t) for t in times]
+    given = Measurements(PLANT, spans, y)
+    found = read_measurements(write_measurements(given, tmp_path / "again.csv"), PLANT)
+    assert [str(row[:2]) for row in found] == [str(row[:2]) for row in given]
+    assert found.u[:2].tolist() == [[0.0], [0.0]]
+    cost = {"horizon": 4.0, "w_bound": 0.1, "v_bound": 0.2, "initial_error": 3.0}
+    ours, theirs = (MovingHorizonEstimator(PLANT, **cost).run(each.in_order()) for each in (given, found))
+    assert ours[-1].x == pytest.approx(theirs[-1].x, abs=1e-9)
 
 
 def test_round_trip_is_exact(tmp_path):
@@ -329,7 +361,7 @@ def test_samples_are_left_out_by_the_numbers_that_a_contradiction_names(tmp_path
     rest = found.without(1, 3)  # the second row is the first sample, the latest one the third
     assert rest.times.tolist() == [0.0, 1.0, 2.0, 3.0]
     assert rest.measured.any(axis=1).tolist() == [False, False, True, False]
-    assert rest.u.tolist() == [[1.0], [1.0], [2.0], [2.0]]
+    assert rest.u.tolist() == [[1.0], [1.0], [1.0], [2.0]]  # at time 2 it has not changed yet
     assert rest.censored == ((), (), (), ())
     assert len(found.without()) == 4
     blind = Measurements(BLIND, [1.0, 2.0], [[1.0], [2.0]])

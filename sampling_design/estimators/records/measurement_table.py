@@ -155,9 +155,8 @@ class MeasurementTable:
         self.censored: list[tuple[CensoredReading, ...]] = []
         self._blocks: list[tuple[Array, Array, Array, Index]] = []
         self._marks: frozenset[str] = frozenset()  # decimal marks so far
-        self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows: list[tuple[float, list[float], list[float], int]] = []  # that were read one by one
-        self._by_time: dict[float, tuple[int, tuple[float, ...]]] | None = None
+        self._undated: list[tuple[tuple[float, float], list[float], int]] = []  # inputs of rows whose time is uncertain
 
     @property
     def assumed_zone(self) -> str:
@@ -173,20 +172,55 @@ class MeasurementTable:
         return zoned_text(zero.astimezone(self.clock.zone) if self.clock.named else zero)
 
     def arrays(self) -> tuple[Array, Array, Array]:
-        """Times, outputs and inputs of all rows; the table is empty after that."""
+        """Times, outputs and inputs of all rows as they came, each time once; the table is empty after that."""
         p, m = self.plant.n_outputs, self.plant.n_inputs
         blocks, self._blocks = self._blocks, []
-        empty = (np.zeros(0), np.zeros((0, p)), np.zeros((0, m)))
-        times, y, u = (np.concatenate([empty[i], *(block[i] for block in blocks)]) for i in range(3))
-        return times, y, u
+        empty = (np.zeros(0), np.zeros((0, p)), np.zeros((0, m)), np.zeros(0, dtype=int))
+        times, y, u, lines = (np.concatenate([empty[i], *(block[i] for block in blocks)]) for i in range(4))
+        order = np.argsort(times, kind="stable")
+        self._fill(times, u, lines, order)
+        twice = np.zeros(times.size, dtype=bool)
+        first = 0
+        for k in order[1:][np.diff(times[order]) == 0].tolist():
+            first = first if times[first] == times[k] else int(order[np.searchsorted(times, times[k], sorter=order)])
+            old, new = (_content(y[i], u[i], self.censored[i]) for i in (first, k))
+            if not np.array_equal(old, new, equal_nan=True):
+                raise FileFormatError(
+                    f"{self.where}: {row_name(self.where, int(lines[k]))} repeats the time of "
+                    f"{row_name(self.where, int(lines[first]))} with other values.",
+                    self.where,
+                )
+            twice[k] = True
+        self.censored = [row for row, again in zip(self.censored, twice.tolist(), strict=True) if not again]
+        return times[~twice], y[~twice], u[~twice]
+
+    def _fill(self, times: Array, u: Array, lines: Index, order: Index) -> None:
+        """Fill blank inputs with what held at the time of their row, whenever that row came."""
+        dated = np.array([not row or row[0].stamp is None for row in self.censored], dtype=bool)
+        at = order[dated[order]]
+        u[at] = held_on(u[at])
+        if at.size and np.isnan(u[at[0]]).any():
+            name = self.plant.inputs.names[int(np.argmax(np.isnan(u[at[0]])))]
+            raise FileFormatError(
+                f"{self.where}: input {name} has no value in {row_name(self.where, int(lines[at[0]]))}, the first row.",
+                self.where,
+            )
+        for span, inputs, line in self._undated:
+            begin, end = np.searchsorted(times[at], span, side="right").tolist()
+            held = u[at[max(begin - 1, 0) : end]]
+            if any(not np.isnan(value) and value not in held[:, i] for i, value in enumerate(inputs)):
+                raise FileFormatError(
+                    f"{self.where}: {row_name(self.where, line)} changes an input at a time that is not known. "
+                    "Give it a row of its own.",
+                    self.where,
+                )
 
     def add_block(self, lines: list[Numbered]) -> None:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
         self._marks = file_io.one_decimal_mark(lines, self.where, self.mark, self._marks)
-        plain = self._plain(lines) if self._by_time is None else None
+        plain = self._plain(lines)
         if plain is not None:
             times, y, u, censored = plain
-            self._latest, self._held = float(times[-1]), u[-1]
             kept = np.asarray(np.isfinite(y).any(axis=1) | bool(u.shape[1]))
             kept[list(censored)] = True
             self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
@@ -208,9 +242,9 @@ class MeasurementTable:
         return cells[:own] if len(cells) > own and not any(map(str.strip, cells[own:])) else cells
 
     def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array, dict[int, list[CensoredReading]]] | None:
-        """Times, outputs, inputs and, by row, readings beyond limits of rows in order of time; None for any other rows.
+        """Times, outputs, inputs and, by row, readings beyond limits; None where not all rows are plain.
 
-        They hold numbers, numbers after < or >, and blanks.
+        Plain ones hold numbers, numbers after < or >, and blanks.
         """
         texts = [line for _, line in lines]
         if any('"' in text or len(text) > LONGEST_LINE for text in texts):
@@ -220,7 +254,7 @@ class MeasurementTable:
             return None
         columns = dict(zip(self.header, zip(*rows, strict=True), strict=True))
         times = self._stamps(columns[self.stamp])
-        if times is None or not times[0] > self._latest or not (np.diff(times) > 0).all():
+        if times is None:
             return None
         more = [self.stamp + UNTIL, *(name + SINCE for name in self.plant.outputs.names)]
         if any(cell.strip() for name in more for cell in columns.get(name, ())):
@@ -229,10 +263,7 @@ class MeasurementTable:
         outputs = [self._output(i, columns[name], censored) for i, name in enumerate(self.plant.outputs.names)]
         y = _beside(outputs, times.size)
         u = _beside([self._column(columns[name]) for name in self.plant.inputs.names], times.size)
-        if y is None or u is None:
-            return None
-        u = held_on(u, self._held)
-        return None if np.isnan(u).any() else (times, y, u, censored)
+        return None if y is None or u is None else (times, y, u, censored)
 
     def _output(self, i: int, cells: tuple[str, ...], censored: dict[int, list[CensoredReading]]) -> Array | None:
         """The numbers of an output, NaN beyond a limit of detection, which joins `censored` by its row; else None."""
@@ -288,47 +319,17 @@ class MeasurementTable:
             outputs.append(np.nan if limit or since is not None else value)
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
         if span is not None:
-            self._refuse_input(line, inputs, censored)
+            if any(each.since is not None for each in censored):
+                raise FileFormatError(
+                    f"{self.where}: {row_name(self.where, line)} holds a mean, whose end must be one time.", self.where
+                )
             censored, outputs = list(at_some_time(np.array(outputs), tuple(censored), span)), [np.nan] * len(outputs)
-        inputs = self._filled(line, inputs) if span is None else inputs
+            self._undated.append((span, inputs, line))
+            inputs = [np.nan] * len(inputs)
         if np.isnan(outputs).all() and not censored and (span is not None or not inputs):
             return  # a visit that was missed, or is still to come
-        content = _content(outputs, inputs, censored)
-        if self._by_time is None and t <= self._latest:
-            self._by_time = self._all_by_time()
-        if self._by_time is not None:
-            if t in self._by_time:
-                _check_twin(self.where, line, content, self._by_time[t])
-                return
-            self._by_time[t] = (line, content)
-        self._latest, self._held = max(t, self._latest), self._held if span is not None else np.array(inputs)
         self._rows.append((t, outputs, inputs, line))
         self.censored.append(tuple(censored))
-
-    def _refuse_input(self, line: int, inputs: list[float], censored: list[CensoredReading]) -> None:
-        """Refuse what needs a time in a row that has none."""
-        if any(each.since is not None for each in censored):
-            raise FileFormatError(
-                f"{self.where}: {row_name(self.where, line)} holds a mean, whose end must be one time.", self.where
-            )
-        if any(not np.isnan(value) and value != last for value, last in zip(inputs, self._held, strict=True)):
-            raise FileFormatError(
-                f"{self.where}: {row_name(self.where, line)} changes an input at a time that is not known. "
-                "Give it a row of its own.",
-                self.where,
-            )
-        inputs[:] = [np.nan] * len(inputs)
-
-    def _filled(self, line: int, inputs: list[float]) -> list[float]:
-        """Fill empty input cells with the value that holds."""
-        for i, value in enumerate(inputs):
-            if np.isnan(value) and np.isnan(self._held[i]):
-                name = self.plant.inputs.names[i]
-                raise FileFormatError(
-                    f"{self.where}: input {name} has no value in {row_name(self.where, line)}, the first row.",
-                    self.where,
-                )
-        return [float(last) if np.isnan(value) else value for value, last in zip(inputs, self._held, strict=True)]
 
     def _close(self) -> None:
         """Put the rows that were read one by one among the others, as numbers."""
@@ -337,15 +338,6 @@ class MeasurementTable:
             shapes = (len(times), self.plant.n_outputs), (len(times), self.plant.n_inputs)
             self._blocks.append((np.array(times), np.reshape(y, shapes[0]), np.reshape(u, shapes[1]), np.array(lines)))
             self._rows = []
-
-    def _all_by_time(self) -> dict[float, tuple[int, tuple[float, ...]]]:
-        """Every row so far by its time, for a file whose rows are not in order of time."""
-        self._close()
-        by_time: dict[float, tuple[int, tuple[float, ...]]] = {}
-        for times, y, u, lines in self._blocks:
-            for t, outputs, inputs, line in zip(*(each.tolist() for each in (times, y, u, lines)), strict=True):
-                by_time[t] = (line, _content(outputs, inputs, list(self.censored[len(by_time)])))
-        return by_time
 
     def _since(self, line: int, t: float, cell: str) -> float | None:
         if cell == "":
@@ -360,7 +352,7 @@ class MeasurementTable:
         return since
 
 
-def _content(outputs: list[float], inputs: list[float], censored: list[CensoredReading]) -> tuple[float, ...]:
+def _content(outputs: Array, inputs: Array, censored: tuple[CensoredReading, ...]) -> tuple[float, ...]:
     flat = [x for each in censored for x in (*each[:4], *(each.stamp or ()))]
     return (*outputs, *inputs, *(np.nan if x is None else x for x in flat))
 
@@ -373,12 +365,11 @@ def _beside(columns: list[Array | None], rows: int) -> Array | None:
     return np.stack(known, axis=1) if known else np.zeros((rows, 0))
 
 
-def held_on(inputs: Array, before: Array | None = None) -> Array:
-    """Inputs (N, m) whose blanks are what held before; NaN where that is not known."""
+def held_on(inputs: Array) -> Array:
+    """Inputs (N, m) in order of time whose blanks are what held before; NaN where that is not known."""
     known, rows = np.isfinite(inputs), np.arange(len(inputs))[:, None]
     last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
-    first = np.full(inputs.shape[1], np.nan) if before is None else before
-    return np.where(last < 0, first, np.take_along_axis(inputs, last, axis=0)) if len(inputs) else inputs
+    return np.where(last < 0, np.nan, np.take_along_axis(inputs, last, axis=0)) if len(inputs) else inputs
 
 
 def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
@@ -487,10 +478,3 @@ def time_or_date(origin: str, t: float, unit: str) -> str:
     """Return a time counted from the date `origin` as its date to the minute; as it is where that is ""."""
     dates = dates_of(origin, np.array([t]), unit)
     return f"{moment(t)} {unit}" if dates is None else dates[0].isoformat(sep=" ", timespec="minutes")
-
-
-def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, tuple[float, ...]]) -> None:
-    if not np.array_equal(new, old[1], equal_nan=True):
-        raise FileFormatError(
-            f"{where}: {row_name(where, line)} repeats the time of {row_name(where, old[0])} with other values.", where
-        )

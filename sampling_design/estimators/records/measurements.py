@@ -412,11 +412,12 @@ def read_measurements(
 
 @checked
 def write_measurements(measurements: Measurements, path: str | os.PathLike[str]) -> Path:
-    """Write measurements as CSV; `read_measurements` returns them exactly.
+    """Write measurements as CSV; `read_measurements` returns them exactly, with the input that holds at each row.
 
     Parameters
     ----------
     measurements : Measurements
+        Each time once. Times are written, and not the date of time 0; inputs are zero until the first is given.
     path : path
 
     Returns
@@ -437,8 +438,12 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
     for name in header[len(stamps) :]:
         if header.count(name) > 1 or not file_io.is_column(name, *STAMPS, "time" + UNTIL):
             raise ArgumentError(f"`measurements`: {name!r} cannot be a column of a CSV file, or is one already.")
-    body = []
-    table = zip(measurements.times.tolist(), spans, measurements.y, measurements.u, measurements.censored, strict=True)
+    body, inputs = list[list[str]](), np.array(measurements.u)
+    dated = [k for k, span in enumerate(spans) if span is None]
+    if dated:
+        first = min(dated, key=lambda k: measurements.times[k])
+        inputs[first] = np.nan_to_num(inputs[first])  # which the reader asks for
+    table = zip(measurements.times.tolist(), spans, measurements.y, inputs, measurements.censored, strict=True)
     for t, span, y, u, censored in table:
         when = [repr(t), ""] if span is None else [repr(end) for end in span]
         cells, begun = [cell_of(v) for v in y], dict.fromkeys(means, "")

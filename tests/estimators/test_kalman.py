@@ -1,5 +1,9 @@
 """The filter's own behaviour: exact cases, refusals, lateness."""
 
+import gc
+from collections import Counter
+from types import FunctionType, ModuleType
+
 import numpy as np
 import pytest
 
@@ -13,8 +17,11 @@ from sampling_design import (
 )
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.estimators.gap_flows.flows import GapFlow
+from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator
 from sampling_design.estimators.online.evidence import REMEMBERED
+from sampling_design.estimators.online.history import HistoryNode, KnownSample
 from tests.benchmarks.baselines import periodic_at_equal_cost, standard_mhe
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -189,8 +196,34 @@ def test_estimates_hold_the_samples_that_prove_them_and_no_copy_of_all_that_are_
     kalman = sd.KalmanFilter(plant, cost=sd.CostFunction(eta=0.2), maximum_delay=1e9, **bounds)
     record = [(float(k), [np.sin(k)]) for k in range(1, 60)]
     for found in (kalman.run(record), kalman.smooth(record)):
-        assert max(len(each.proof.nodes) for each in found) == REMEMBERED + 1
+        assert max(len(each.proof.samples) for each in found) == REMEMBERED + 1
     assert len(kalman.state.nodes) == 60
+
+
+@pytest.mark.parametrize("given", [{"maximum_delay": 0.0}, {"horizon": 3.0}], ids=["filter", "window"])
+def test_what_estimates_keep_of_a_long_record_is_a_node_for_each_and_no_flow(given):
+    """Each kept the node before with its estimate, without a radius, and the flow of its gap: twice the memory."""
+    plant, rng = sd.plants.library.oscillator(), np.random.default_rng(0)
+    kind = sd.MovingHorizonEstimator if "horizon" in given else sd.KalmanFilter
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    estimator = kind(plant, cost=sd.CostFunction(eta=0.2), **bounds, **given)
+    record = [(t, [np.sin(t)]) for t in np.cumsum(rng.uniform(0.5, 1.5, 80)).tolist()]
+    found = estimator.run(record).estimates
+    kept = Counter(type(each) for each in reached(found))
+    assert kept[Estimate] == 80
+    assert kept[KnownSample] == 81  # with the prior
+    assert kept[GapFlow] == kept[HistoryNode] == 0
+
+
+def reached(*begun):
+    """All objects that some of them refer to, but for modules and what they define."""
+    seen, ahead = {}, list(begun)
+    while ahead:
+        each = ahead.pop()
+        if id(each) not in seen and not isinstance(each, (type, ModuleType, FunctionType)):
+            seen[id(each)] = each
+            ahead += gc.get_referents(each)
+    return list(seen.values())
 
 
 def test_a_record_whose_discount_vanishes_is_not_smoothed():

@@ -13,7 +13,7 @@ from sampling_design.accuracy.interval import Interval, prove
 from sampling_design.accuracy.readings import Readings, RowReading, censored_rows
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction
-from sampling_design.estimators.online.history import HistoryNode, InputHistory
+from sampling_design.estimators.online.history import HistoryNode, InputHistory, KnownSample
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.numerics.filtering import correlation_root
 from sampling_design.plants.plant import Plant
@@ -73,12 +73,19 @@ def output_of(found: Disproof, k: int) -> int:
 
 
 class EstimateEvidence:
-    """The last nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
+    """The last samples behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
 
-    __slots__ = ("assumed", "inputs", "nodes", "radius_known")
+    __slots__ = ("assumed", "box", "inputs", "radius_known", "samples")
 
     def __init__(self, assumed: EstimateAssumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
-        self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
+        self.assumed, self.inputs, self.radius_known = assumed, inputs, known
+        self.samples, self.box = tuple([node.known for node in nodes if node.known is not None]), nodes[0].box
+
+    def rests_on(self, nodes: tuple[HistoryNode, ...], inputs: InputHistory) -> bool:
+        """Whether it is what these nodes and inputs prove."""
+        first, last = self.samples[0], self.samples[-1]
+        same = first is nodes[0].known and last is nodes[-1].known and self.box is nodes[0].box
+        return same and inputs is self.inputs
 
     @property
     def _program(self) -> RecordProgram:
@@ -93,13 +100,13 @@ class EstimateEvidence:
     @property
     def contradiction(self) -> Contradiction | None:
         """What is known to contradict the bounds among the samples behind it."""
-        return self.nodes[-1].contradiction
+        return self.samples[-1].contradiction
 
     @property
     def newly(self) -> bool:
         """Whether the last of the samples is what made them do so."""
-        last = self.nodes[-1]
-        return last.branch is not None and last.branch.proven_at(last.number)
+        last = self.samples[-1]
+        return last.branch.proven_at(last.number)
 
     def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array, float] | None = None) -> Interval:
         """Return the interval of wanted rows at t; `ellipsoid` (x, covariance, radius) holds the state, too."""
@@ -113,15 +120,15 @@ class EstimateEvidence:
                 z, reach = rows.matrix @ x, np.sqrt(radius) * _deviations(rows.matrix, covariance)
             outer = np.array([z - reach, z + reach]).T
         interval = prove(program, t, rows, outer)
-        last = self.nodes[-1]
-        if interval.disproof is not None and last.branch is not None and last.contradiction is None:
+        last = self.samples[-1]
+        if interval.disproof is not None and last.contradiction is None:
             last.branch.record(last.number, self._contradiction_of(interval.disproof))
         return interval
 
     def _contradiction_of(self, found: Disproof) -> Contradiction:
         """Return the sample without which the rest agrees and what its noise would have to be; else the strongest."""
         readings, names = found.readings, self.assumed.plant.outputs.names
-        numbers = {node.t: node.number for node in self.nodes}
+        numbers = {sample.t: sample.number for sample in self.samples}
         suspects = [k for k in found.strongest.tolist() if numbers.get(float(readings.times[k])) and readings.rows[k]]
 
         def named(k: int, factor: float, alone: bool) -> Contradiction:
@@ -133,7 +140,7 @@ class EstimateEvidence:
                 return named(k, self._least(readings, k), True)
         if suspects:
             return named(suspects[0], found.factors["all"], False)
-        last = self.nodes[-1]
+        last = self.samples[-1]
         return Contradiction(last.number, last.t, names[0], found.factors["all"], False)
 
     def _least(self, readings: Readings, k: int) -> float:
@@ -163,32 +170,32 @@ class EstimateEvidence:
         return StateTube(tube.times, nothing, nothing)
 
     def _readings(self, until: float | None = None) -> Readings:
-        first = self.nodes[0]
+        first = self.samples[0]
         start = replace(self.assumed.error, centre=first.x)
         if first.number:
             known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
             Y = first.beta * first.Y if known else np.zeros_like(first.Y)
             root = correlation_root(Y, len(Y) * np.finfo(float).eps) if known else Y
             start = BoundedSet(first.x, root, ball=known, unbounded=not known)
-        if start.unbounded and first.box is not None:
-            start = first.box.within
+        if start.unbounded and self.box is not None:
+            start = self.box.within
         rows: dict[float, tuple[RowReading, ...]] = {}
-        for node in self.nodes:
-            rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
+        for sample in self.samples:
+            rows[sample.t] = (*rows.get(sample.t, ()), *self._rows(sample), *self.assumed.state)
         if until is not None:
             rows[until] = self.assumed.state
         return self.assumed.unread(first.t, self.inputs, start).reading(sorted(rows.items()))
 
-    def _rows(self, node: HistoryNode) -> tuple[RowReading, ...]:
+    def _rows(self, sample: KnownSample) -> tuple[RowReading, ...]:
         C, noise, sizes = self.assumed.plant.C, self.assumed.noise, self.assumed.noise.half_widths
-        y = node.y - node.feedthrough - noise.centre
-        rows = [RowReading(C[i], float(y[i]), float(sizes[i]), output=int(i)) for i in np.flatnonzero(node.mask)]
-        first = self.nodes[0].t
-        for each in node.sample.censored:
+        y = sample.y - sample.feedthrough - noise.centre
+        rows = [RowReading(C[i], float(y[i]), float(sizes[i]), output=int(i)) for i in np.flatnonzero(sample.mask)]
+        first = self.samples[0].t
+        for each in sample.censored:
             if each.since is None or each.since >= first:
                 size, centre = float(sizes[each.output]), float(noise.centre[each.output])
-                direct = float(node.feedthrough[each.output])
-                rows += censored_rows(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs), direct)
+                direct = float(sample.feedthrough[each.output])
+                rows += censored_rows(self.assumed.plant, sample.t, each, size, centre, tuple(self.inputs), direct)
         return tuple(rows)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple, overload
 import numpy as np
 
 from sampling_design.accuracy.bounds import BoundedSet
-from sampling_design.accuracy.readings import RecordRow
+from sampling_design.accuracy.readings import CensoredReading, RecordRow
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.records.arrays import Array
@@ -75,6 +75,36 @@ class StateBox(NamedTuple):
     until: float
 
 
+class KnownSample(NamedTuple):
+    """What intervals ask of a node: estimates keep these as long as they are kept, and neither gaps nor each other.
+
+    `own` is what the node's window proved to contradict the bounds, `branch` knows what intervals have.
+    """
+
+    t: float
+    number: int
+    censored: tuple[CensoredReading, ...]
+    y: Array
+    mask: Array
+    feedthrough: Array
+    x: Array
+    Y: Array
+    beta: float
+    sound: bool
+    own: Contradiction | None
+    branch: SampleBranch
+
+    @property
+    def contradiction(self) -> Contradiction | None:
+        """What contradicts the bounds up to here, whichever proof said so."""
+        return self.branch.contradiction(self.number) if self.own is None else self.own
+
+    @property
+    def stands(self) -> bool:
+        """Whether nothing is known to contradict what is assumed."""
+        return self.sound and self.branch.contradiction(self.number) is None
+
+
 class IncomingNode(NamedTuple):
     """A sample on its way in, as the equations take it: y with 0 where it is missing, the mask of 0 and 1, and D u.
 
@@ -99,8 +129,8 @@ class HistoryNode(NamedTuple):
     where `mask` is 0; `number` counts the samples, 0 is the prior; `counted` is when a sample last counted for the
     proof of a nonlinear estimator, `limited` when one last had limits or means; `held` is the square of x in units of
     what is known of it, with what is left of those before, for the rounding of what follows; `loose` is how far the
-    gaps' information may be off; `branch` knows what intervals have proven of the samples up to here; `box` holds the
-    state where nothing else does, by readings of uncertain times that came later; its own rest on samples `until` then.
+    gaps' information may be off; `known` is what intervals ask of it, of a linear plant; `box` holds the state where
+    nothing else does, by readings of uncertain times that came later; its own rest on samples `until` then.
     """
 
     t: float
@@ -121,7 +151,7 @@ class HistoryNode(NamedTuple):
     held: float = 0.0
     loose: float = 0.0
     limited: float = -np.inf
-    branch: SampleBranch | None = None
+    known: KnownSample | None = None
     counted: float = np.nan
     box: StateBox | None = None
     until: float = -np.inf
@@ -144,13 +174,12 @@ class HistoryNode(NamedTuple):
     @property
     def contradiction(self) -> Contradiction | None:
         """What contradicts the bounds up to here, whichever proof said so."""
-        own = self.estimate.contradiction
-        return own if own is not None or self.branch is None else self.branch.contradiction(self.number)
+        return None if self.known is None else self.known.contradiction
 
     @property
     def stands(self) -> bool:
         """Whether nothing is known to contradict what is assumed."""
-        return self.sound and (self.branch is None or self.branch.contradiction(self.number) is None)
+        return self.sound if self.known is None else self.known.stands
 
 
 class InputHistory(Sequence[tuple[float, Array]]):

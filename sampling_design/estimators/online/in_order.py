@@ -180,14 +180,14 @@ class OnlineEstimator(Displayable, ABC):
             node = node._replace(until=replayed.last.until) if replayed.last.until >= node.t else node
             replayed = EstimatorState((*replayed.nodes, node), state.inputs)
         replayed = self._settled(replayed).trimmed(self.memory, self.remembered)
-        old, new = state.last.branch, replayed.last.branch
+        old, new = state.last.known, replayed.last.known
         if (
             not (taken or forced)
             and old is not None
             and new is not None
-            and (proven := old.contradiction(state.last.number)) is not None
+            and (proven := old.branch.contradiction(old.number)) is not None
         ):
-            new.record(replayed.last.number, proven)  # a sample more does not make the others agree
+            new.branch.record(new.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, state: EstimatorState, time: object, values: object, given: object) -> RecordRow:

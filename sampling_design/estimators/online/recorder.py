@@ -10,7 +10,13 @@ import numpy as np
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of, with_proof
 from sampling_design.estimators.online.evidence import REMEMBERED, EstimateAssumptions, EstimateEvidence
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
+from sampling_design.estimators.online.history import (
+    EstimatorState,
+    HistoryNode,
+    IncomingNode,
+    KnownSample,
+    SampleBranch,
+)
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
@@ -58,10 +64,11 @@ class Recorder:
         root, energy = self.loop.weights.prior_root, self.bounds.prior * (1 + self.loop.weights.loose)
         Y, zero, scheduled = freeze(root @ root.T), np.zeros(self.loop.weights.plant.n_outputs), self.claim.stands
         estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
+        known = KnownSample(t, 0, (), zero, zero, zero, x, Y, energy, True, None, SampleBranch())
         return HistoryNode(
             t=t, sample=RecordRow(t), y=zero, mask=zero, feedthrough=zero, flow=None, drift=np.zeros(x.size),
             limits=None, x=x, Y=Y, beta=energy, scheduled=scheduled, sound=True, estimate=estimate,
-            branch=SampleBranch(),
+            known=known,
         )  # fmt: skip
 
     def estimate(
@@ -116,10 +123,14 @@ class Recorder:
         )  # fmt: skip
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
-        branch = None if last.branch is None else last.branch.after(last.number)
+        assert last.known is not None  # as of every linear plant
+        number, branch, sample = last.number + 1, last.known.branch.after(last.number), new.sample
+        known = KnownSample(
+            new.t, number, sample.censored, new.y, new.mask, new.feedthrough, x, Y, beta, sound, contradiction, branch
+        )
         return HistoryNode(
             *new, x, Y, beta, scheduled, sound, estimate,
-            number=last.number + 1, held=size, loose=loose, limited=limited, branch=branch,
+            number=number, held=size, loose=loose, limited=limited, known=known,
         )  # fmt: skip
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
@@ -142,8 +153,7 @@ class Recorder:
             return estimate
         nodes = state.nodes[max(at - REMEMBERED, 0) : at + 1]  # each estimate would hold a copy of all that are kept
         evidence = self._evidence
-        same = evidence is not None and evidence.nodes[-1] is nodes[-1] and evidence.nodes[0] is nodes[0]
-        if evidence is None or not same or evidence.inputs is not state.inputs:
+        if evidence is None or not evidence.rests_on(nodes, state.inputs):
             evidence = self._evidence = EstimateEvidence(self.assumed, nodes, state.inputs, not self.bounds.note)
         found = with_proof(estimate, evidence)
         if not self.centred or found.status == "prior":

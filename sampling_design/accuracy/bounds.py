@@ -53,7 +53,7 @@ class BoundedSet:
         if bound is None:
             return cls(freeze(np.zeros(n)), freeze(np.zeros((n, n))), False, unbounded=True)
         size = vector_bound(name, bound, names)
-        return cls.box(np.zeros(n), np.broadcast_to(size, (n,)), size.ndim == 0 and n > 1)
+        return cls.box(np.zeros(n), np.broadcast_to(size, (n,)), size.ndim == 0)
 
     @property
     def half_widths(self) -> Array:

@@ -28,6 +28,8 @@ def of_any_names(argument: str, value: object) -> object:
 def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> Array:
     """Return a bound about 0: a number (0-d array), on the Euclidean norm, or one for each entry, given by name or not.
 
+    Of one entry the norm is its size, and a number is a bound on that entry.
+
     Raises ArgumentError if it is negative, not finite, of another length, names what is not there, leaves a name out,
     or is a pair that is not about 0.
     """
@@ -42,7 +44,8 @@ def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> A
             raise ArgumentError(f"`{argument}` is missing for {', '.join(lost)}: give a number, 0 for none.")
         return checks.freeze(half)
     if checks.dimensions(value) == 0:
-        return np.asarray(checks.nonnegative(argument, value))
+        number = np.asarray(checks.nonnegative(argument, value))
+        return checks.freeze(number.reshape(1)) if len(names) == 1 else number
     entries = checks.vector(argument, value, len(names))
     if np.any(entries < 0):
         raise ArgumentError(f"`{argument}` must not be negative, got {float(entries.min())!r}.")

@@ -5,6 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
+from tests.cases import few
 
 NAMES = sd.plants.Signals
 PLANT = sd.Plant(
@@ -93,3 +94,15 @@ def test_a_name_that_is_a_number_may_be_typed_as_one():
     np.testing.assert_array_equal(made.loop.bounds.w, [0.2])
     with pytest.raises(ArgumentError, match=r"`w_bound\['1'\]` must be a number or a pair about 0 here, got \(0, 1\)"):
         sd.KalmanFilter(plant, w_bound={1: (0, 1)}, **bounds)
+
+
+@pytest.mark.parametrize("seed", few(range(6), 2))
+def test_a_number_bounds_the_one_entry_there_is(seed):
+    """Its norm is its size: as a number (so the command line reads it) or in a list, the report is the same."""
+    rng = np.random.default_rng(seed)
+    plant = sd.Plant([[rng.uniform(-0.5, 0.1)]], [[1.0]], states=["a"], outputs=["b"], disturbances=["c"])
+    schedule = sd.PeriodicSchedule(rng.uniform(0.4, 1.0, 2))
+    numbers = dict(zip(LISTS, rng.uniform(0.1, 0.4, 3).tolist(), strict=True))
+    proof, lists = sd.certify(plant, schedule, eta=0.3), {key: [bound] for key, bound in numbers.items()}
+    one, other = (sd.validate(plant, schedule, proof, runs=4, duration=8.0, rng=seed, **b) for b in (numbers, lists))
+    assert one.to_dict() == other.to_dict()

@@ -98,7 +98,7 @@ def test_worst_push_reaches_the_support_of_the_bounds():
     row = int(found.timeline.rows.samples[-1])
     parts, axis = sensitivity(found, row), apriori.root[0]
     reach = sum(
-        float(b) * np.sum(np.linalg.norm(np.swapaxes(E, -1, -2) @ axis, axis=-1))
-        for b, E in zip((bounds.e0, bounds.w, bounds.v), parts, strict=True)
+        float(b.max()) * np.sum(np.linalg.norm(np.swapaxes(E, -1, -2) @ axis, axis=-1))
+        for b, E in zip((bounds.e0, bounds.w, bounds.v), parts, strict=True)  # of one entry its size
     )
     assert errors[0, row] @ axis == pytest.approx(reach, rel=1e-12)

@@ -258,8 +258,8 @@ def _entries(name: str, value: Bound, names: tuple[str, ...]) -> Array:
         return np.zeros(0)
     if value is not None and not callable(value):
         found = vector_bound(name, value, names)
-        if found.ndim or len(names) == 1:
-            return np.broadcast_to(found, (len(names),))
+        if found.ndim:
+            return found
     raise ArgumentError(
         f"`{name}` must be {len(names)} numbers that are not negative, one bound for each entry, for accuracy over a "
         f"box of parameters, got {checks.described(value)}."

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.cone_table import ConeTable
-from sampling_design.numerics.linalg import symmetrise
+from sampling_design.numerics.linalg import right_directions, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -251,7 +251,7 @@ class InitialSet:
             return np.eye(n)
         if self.whole:
             return np.zeros((n, 0))
-        return np.asarray(np.linalg.svd(self.S / np.linalg.norm(self.S, axis=1, keepdims=True))[2][count:].T)
+        return np.asarray(right_directions(self.S / np.linalg.norm(self.S, axis=1, keepdims=True))[1][count:].T)
 
     def excess(self, e: Array) -> float:
         """The factor by which an error about the centre lies outside; infinite if what is known exactly is off."""

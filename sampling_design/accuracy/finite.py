@@ -22,6 +22,7 @@ from sampling_design.accuracy.sampled_system import (
 from sampling_design.accuracy.undetectable import ROUNDED, UNOBSERVABLE
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import carried, covariance_root, largest_first, root_update, triangle
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
@@ -174,7 +175,7 @@ def _strengths(rows: Array) -> tuple[Array, Array]:
     width = rows.shape[1]
     sizes, right = np.zeros(width), np.eye(width)
     if len(rows):
-        _, found, right = np.linalg.svd(rows)
+        found, right = right_directions(rows)
         sizes[: found.size] = found
     return sizes, right
 

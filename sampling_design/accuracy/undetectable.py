@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch, right_directions
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
@@ -193,7 +193,7 @@ def _hidden(
     rows = [cycle]
     for _ in range(X.shape[1] - 1):
         rows.append(rows[-1] @ M)
-    _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=True)
+    sizes, right = right_directions(np.vstack(rows))
     sizes = np.pad(sizes, (0, X.shape[1] - sizes.size)) if sizes.size < X.shape[1] else sizes
     return np.asarray(right.conj().T[:, sizes < UNOBSERVABLE * max(1.0, float(sizes[0]))], dtype=np.complex128)
 
@@ -213,7 +213,7 @@ def unobservable_directions(H: Array) -> Array:
     size = np.linalg.norm(H, axis=1)
     if not np.isfinite(size).all():
         return np.zeros((H.shape[1], 0))
-    values, right = np.linalg.svd(H[size > 0] / size[size > 0, None])[1:]
+    values, right = right_directions(H[size > 0] / size[size > 0, None])
     return np.asarray(right[np.count_nonzero(values > HIDDEN) :].T)
 
 

@@ -225,7 +225,7 @@ def _unobserved_shares(X: Complex, C: Array) -> Complex:
 
 def _null_space(M: Array | Complex, size: float) -> Complex:
     """Orthonormal columns that M (k, q) makes nothing of, but for rounding of entries of a size."""
-    _, sizes, right = np.linalg.svd(M)
+    _, sizes, right = np.linalg.svd(M, full_matrices=len(M) < M.shape[1])
     return np.asarray(right[np.count_nonzero(sizes > LASTS * max(M.shape) * size) :].conj().T, dtype=np.complex128)
 
 

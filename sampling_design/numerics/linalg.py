@@ -75,6 +75,15 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
     return np.asarray(result)
 
 
+def right_directions(rows: Array) -> tuple[Array, Array]:
+    """Return the singular values of rows (..., R, n) and all n right singular vectors, as rows, (..., n, n).
+
+    Of many rows the left ones, R^2 numbers, are not made.
+    """
+    _, sizes, right = np.linalg.svd(rows, full_matrices=rows.shape[-2] < rows.shape[-1])
+    return sizes, right
+
+
 def forced_flow(A: Array, B: Array, times: npt.ArrayLike) -> Array:
     """Return e^{A t} and int_0^t e^{A s} B ds side by side, (N, n, n + q), for every t in `times`; B is (n, q).
 

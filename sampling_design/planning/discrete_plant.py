@@ -12,7 +12,7 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.sampled_system import periodic_system
 from sampling_design.accuracy.undetectable import known_part
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.numerics.linalg import forced_flow
+from sampling_design.numerics.linalg import forced_flow, right_directions
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.records.arrays import Array, Mask
@@ -159,7 +159,7 @@ def hidden_at(
     later = [outputs_at[chosen]]
     for _ in range(discrete.n - 1):
         later.append(_even(later[-1] @ power))
-    _, sizes, right = np.linalg.svd(np.vstack([np.zeros((discrete.n, discrete.n)), *later]))
+    sizes, right = right_directions(np.vstack([np.zeros((discrete.n, discrete.n)), *later]))
     N = right[sizes <= HIDDEN * max(float(sizes[0]), 1.0)].T
     if not N.shape[1]:
         return None

@@ -1,4 +1,4 @@
-"""What is handed over in long rows is named: calls and results."""
+"""What is handed over in long rows is named: calls and results. Singular vectors that are dropped are not made."""
 
 import ast
 import inspect
@@ -28,6 +28,36 @@ def test_arguments_are_counted_by_place():
 def test_no_call_tells_many_arguments_apart_by_their_place():
     found = [f"{p}:{call.lineno}: {ast.unparse(call.func)}" for p in SOURCES for call in calls_by_place(nodes(p))]
     assert not found
+
+
+def drops_left(node: ast.AST) -> bool:
+    """Whether left singular vectors, as many numbers as the square of the rows, are made and dropped."""
+    call = node.value if isinstance(node, ast.Assign | ast.Subscript) else None
+    if not isinstance(call, ast.Call) or not ast.unparse(call.func).endswith("svd") or call.keywords:
+        return False
+    if isinstance(node, ast.Assign):
+        return isinstance(node.targets[0], ast.Tuple) and ast.unparse(node.targets[0].elts[0]) == "_"
+    return isinstance(node, ast.Subscript) and ast.unparse(node.slice) != "0"
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("_, s, V = np.linalg.svd(M)", True),
+        ("V = np.linalg.svd(M)[2][-1]", True),
+        ("s, V = np.linalg.svd(M)[1:]", True),
+        ("U = np.linalg.svd(M)[0]", False),
+        ("U, s, _ = np.linalg.svd(M)", False),
+        ("_, s, V = np.linalg.svd(M, full_matrices=len(M) < n)", False),
+    ],
+)
+def test_singular_vectors_that_are_dropped_are_found(line, found):
+    assert any(map(drops_left, ast.walk(ast.parse(line)))) == found
+
+
+def test_no_left_singular_vectors_are_made_and_dropped():
+    """Of ten thousand rows they take a gigabyte: `right_directions` makes the others alone."""
+    assert [f"{path}:{node.lineno}" for path in SOURCES for node in nodes(path) if drops_left(node)] == []
 
 
 def long_tuples(hint: ast.expr | None) -> list[str]:

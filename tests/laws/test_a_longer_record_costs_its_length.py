@@ -1,6 +1,7 @@
-"""Law: what is done with a record or a schedule takes twice as many steps of Python where that is twice as long."""
+"""Law: what is done with a record or a schedule takes twice the steps and the memory where that is twice as long."""
 
 import sys
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.cases import few
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], time_unit="s")
 BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
-FIRST = 32  # rows of the shorter one
+FIRST, LONG = 32, 256  # rows of the shorter one, of which steps are counted and of which memory is
 MORE = 1.1
 """Factor beyond the length's own that steps may take: what is quadratic in a third of them takes 1.3."""
 
@@ -64,6 +65,7 @@ WORK = {
     "filtered": lambda rows, _: sd.KalmanFilter(PLANT, **BOUNDS, cost=sd.CostFunction(eta=0.2)).run(record(rows)),
     "smoothed": lambda rows, _: sd.KalmanFilter(PLANT, **BOUNDS, cost=sd.CostFunction(eta=0.2)).smooth(record(rows)),
     "interval": lambda rows, _: sd.state_interval(PLANT, record(rows), **BOUNDS),
+    "of any start": lambda rows, _: sd.state_interval(PLANT, record(rows), w_bound=0.1, v_bound=0.1),
     "schedule on file": lambda rows, folder: sd.read_schedule(write_schedule(schedule(rows), folder / "schedule.csv")),
     "dates": lambda rows, folder: write_calendar_csv(schedule(rows), folder / "dates.csv", "2026-01-05T00:00+00:00"),
     "compared with its plan": compared,
@@ -95,6 +97,19 @@ def test_twice_the_length_takes_twice_the_steps(name, tmp_path):
     work(2 * FIRST, tmp_path)  # what is loaded or kept for the next call is not counted
     short, long = (steps(lambda rows=rows: work(rows, tmp_path)) for rows in (FIRST, 2 * FIRST))
     assert long <= 2 * MORE * short
+
+
+@pytest.mark.parametrize("name", few(WORK, 1, list(WORK).index("of any start")))
+def test_twice_the_length_takes_twice_the_memory(name, tmp_path):
+    """A square of the length in a singular vector for each row took gigabytes of a record of ten thousand."""
+    work, peaks = WORK[name], []
+    work(LONG, tmp_path)
+    for rows in (LONG, 2 * LONG):
+        tracemalloc.start()
+        work(rows, tmp_path)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] <= 2 * MORE * peaks[0]
 
 
 def test_steps_show_a_loop_over_all_that_came_before():

@@ -25,7 +25,7 @@ from sampling_design.design.bounds.weak_duality import rooted
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
 from sampling_design.numerics import conic_programs
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch, right_directions
 from sampling_design.records.arrays import Array, Index, Mask
 
 _TOLERANCE = 1e-6  # asked of the solver; the bound is true whatever it answers
@@ -103,7 +103,7 @@ def relax_local(
 def _without_last_sample(problem: DesignProblem, roots: Array, move: Array) -> Array | None:
     """The same multipliers less what the last sample of their window sees, moved; None where nothing is left."""
     C = problem.rows.C @ move
-    unobserved = np.linalg.svd(C)[2][len(C) :]
+    unobserved = right_directions(C)[1][len(C) :]
     left = unobserved.T @ (unobserved @ roots)
     return left if float(np.linalg.norm(left, axis=(1, 2)).min(initial=0.0)) > 0 else None
 

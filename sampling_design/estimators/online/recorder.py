@@ -64,7 +64,10 @@ class Recorder:
         root, energy = self.loop.weights.prior_root, self.bounds.prior * (1 + self.loop.weights.loose)
         Y, zero, scheduled = freeze(root @ root.T), np.zeros(self.loop.weights.plant.n_outputs), self.claim.stands
         estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
-        known = KnownSample(t, 0, (), zero, zero, zero, x, Y, energy, True, None, SampleBranch())
+        known = KnownSample(
+            t=t, number=0, censored=(), y=zero, mask=zero, feedthrough=zero, x=x, Y=Y, beta=energy, sound=True,
+            own=None, branch=SampleBranch(),
+        )  # fmt: skip
         return HistoryNode(
             t=t, sample=RecordRow(t), y=zero, mask=zero, feedthrough=zero, flow=None, drift=np.zeros(x.size),
             limits=None, x=x, Y=Y, beta=energy, scheduled=scheduled, sound=True, estimate=estimate,
@@ -124,10 +127,11 @@ class Recorder:
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         assert last.known is not None  # as of every linear plant
-        number, branch, sample = last.number + 1, last.known.branch.after(last.number), new.sample
+        number = last.number + 1
         known = KnownSample(
-            new.t, number, sample.censored, new.y, new.mask, new.feedthrough, x, Y, beta, sound, contradiction, branch
-        )
+            t=new.t, number=number, censored=new.sample.censored, y=new.y, mask=new.mask, feedthrough=new.feedthrough,
+            x=x, Y=Y, beta=beta, sound=sound, own=contradiction, branch=last.known.branch.after(last.number),
+        )  # fmt: skip
         return HistoryNode(
             *new, x, Y, beta, scheduled, sound, estimate,
             number=number, held=size, loose=loose, limited=limited, known=known,

@@ -7,7 +7,7 @@ from scipy.linalg import qr, schur
 
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.numerics.balancing import balance, balanced, balanced_rows
-from sampling_design.numerics.linalg import expm_batch, positive_or_one
+from sampling_design.numerics.linalg import expm_batch, positive_or_one, right_directions
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, without
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
@@ -109,7 +109,7 @@ def rows_between_samples(plant: FunctionalPlant, schedule: PeriodicSchedule, dec
     stacked = [np.vstack([C[mask] @ F for mask, F in zip(taken, flows, strict=False)])]
     for _ in range(n - 1):
         stacked.append(stacked[-1] @ flows[-1])
-    _, sizes, V = np.linalg.svd(np.vstack(stacked))
+    sizes, V = right_directions(np.vstack(stacked))
     N = V[np.count_nonzero(sizes > MISSED * sizes[0]) :].T
     kept = np.exp((-decay_rate / 2 - growth) * schedule.period) * (1 - RANK_TOLERANCE)
     _, Z, count = schur(N.T @ flows[-1] @ N, output="complex", sort=lambda mu: abs(mu) >= kept)

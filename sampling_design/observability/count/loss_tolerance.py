@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.numerics.balancing import balance
-from sampling_design.numerics.linalg import positive_or_one
+from sampling_design.numerics.linalg import positive_or_one, right_directions
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.pbh import require_observable
@@ -313,7 +313,7 @@ def largest_hidden(rows: Array) -> frozenset[int] | None:
             looks += 1
             if looks > LOOKS:
                 return None
-            _, singular, right = np.linalg.svd(rows[j] @ space)
+            singular, right = right_directions(rows[j] @ space)
             rank = int(np.sum(singular > NEARLY_HIDDEN))
             if rank < space.shape[1]:
                 stack.append(space @ right[rank:].T)

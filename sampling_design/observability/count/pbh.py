@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.errors import NotObservableError
 from sampling_design.numerics.balancing import balanced, balanced_rows
-from sampling_design.numerics.linalg import positive_or_one
+from sampling_design.numerics.linalg import positive_or_one, right_directions
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, format_eigenvalue
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant
@@ -196,7 +196,7 @@ class _BalancedPair:
         found: list[Complex] = []
         while len(found) < len(group):
             taken = np.array([X.conj().T @ z for z in found]).reshape(-1, len(group))
-            right = np.linalg.svd(np.vstack([small, BARRED * taken.conj()]))[2]
+            right = right_directions(np.vstack([small, BARRED * taken.conj()]))[1]
             z, error = self._refined(value, X @ right[-1].conj(), reach, found)
             if error > tolerance:
                 break
@@ -215,7 +215,7 @@ class _BalancedPair:
             scaled = pencil * w / rows[:, None]
             kept = np.array([z.conj() / w for z in found]).reshape(-1, w.size)
             kept /= positive_or_one(np.linalg.norm(kept, axis=1))[:, None]
-            u = np.linalg.svd(np.vstack([scaled, BARRED * kept]))[2][-1].conj()
+            u = right_directions(np.vstack([scaled, BARRED * kept]))[1][-1].conj()
             for cut in CUTS:
                 candidate = w * np.where(np.abs(u) > cut * np.max(np.abs(u)), u, 0)
                 error = self.error(value, candidate)

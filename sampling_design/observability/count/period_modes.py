@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from sampling_design.numerics.balancing import balanced_rows
-from sampling_design.numerics.linalg import expm_batch, positive_or_one
+from sampling_design.numerics.linalg import expm_batch, positive_or_one, right_directions
 from sampling_design.numerics.modal_flow import CONDITION_LIMIT
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
@@ -88,7 +88,7 @@ class PeriodModes:
         best: LeastObservedMode | None = None
         for rate in dict.fromkeys(c.value for block in self.blocks for c in block.clusters):
             parts = [_less(f, b.mean * period, rate * period) for b, f in zip(self.blocks, flows, strict=True)]
-            _, singular, right = np.linalg.svd(np.vstack([block_diag(*parts), measured]))
+            singular, right = right_directions(np.vstack([block_diag(*parts), measured]))
             if best is None or singular[-1] < best.margin:
                 z = np.split(right[-1].conj(), ends[1:-1])
                 shares = np.array([np.linalg.norm(part) for part in z])

@@ -9,12 +9,14 @@ that balance A and C, and 1/sigma = |D F_z|: exponentials round in z alone, and 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.observability.windows.timing import least_observed, rows_of_any_time
 from sampling_design.plants.grouping import balanced_schur
@@ -62,7 +64,10 @@ def require_moderate(plant: Plant) -> None:
 
 
 class _PieceRows:
-    """The pseudo-inverse F of each piece at its right end, carried to any other position; in states z, x = D z."""
+    """The pseudo-inverse of each piece at its right end, F, carried to any other position; in states z, x = D z.
+
+    Only F's singular vectors are held: of hundreds of states they are most of what a search takes.
+    """
 
     def __init__(self, plant: Plant, pieces: WindowPieces, D: Array | None = None) -> None:
         self.balanced, n = D is not None, plant.n_states
@@ -74,12 +79,11 @@ class _PieceRows:
         half = (plant.A + plant.A.T) / 2
         growth = np.linalg.eigvalsh(half)
         self.forward, self.backward = max(0.0, float(growth[-1])), max(0.0, -float(growth[0]))
-        singular, right, size, self.growth = self._references()
+        singular, self.right, size, self.growth = self._references()
         self.zero = singular[:, -1] <= n * _EPS * singular[:, 0]
         safe = np.where(self.zero, 1.0, singular[:, -1])
-        spread = np.where(self.zero[:, None], 1.0, singular)
-        self.F = np.swapaxes(right, 1, 2) / spread[:, None, :]
-        self.G = np.where(self.zero[:, None, None], 0.0, singular[:, :, None] * right)
+        self.spread = np.where(self.zero[:, None], 1.0, singular)
+        self.seen = np.where(self.zero[:, None], 0.0, singular)
         span = float(np.max(pieces.right - pieces.left)) + float(np.ptp(pieces.times)) if len(pieces.times) else 0.0
         self.grade = ALLOWANCE * max(1.0, float(np.linalg.norm(plant.A, 1)) * span / 200)
         self.kept = np.maximum(0.0, 1 - 3 * self.grade * size / safe)
@@ -118,7 +122,7 @@ class _PieceRows:
                 stacked = rows_of_any_time(rows, self.plant.A, late.radii)
             else:
                 stacked = np.asarray(np.linalg.qr(rows.reshape(len(tau), -1, n), mode="r"))
-            _, singular[part], right[part] = np.linalg.svd(stacked)
+            singular[part], right[part] = right_directions(stacked)
             c = np.abs(self.plant.C).max(initial=np.finfo(float).tiny)
             f = np.abs(flow).max()  # no square of an entry of C/c or flow/f overflows, nor do all underflow
             squares = np.sum(np.where(weight, np.sum((self.plant.C / c) ** 2, axis=1), 0.0), axis=-1)
@@ -128,12 +132,11 @@ class _PieceRows:
     def at(self, owner: Integers, start: Array) -> tuple[Array, Array, Array]:
         """|D F| = 1/sigma, and upper bounds on |D A^2 F| and on |F|, at window starts on the pieces `owner`."""
         value, second, plain = np.empty((3, start.size))
-        step = max(1, _CHUNK // self.plant.n_states**2)
-        for low in range(0, start.size, step):
-            part = slice(low, low + step)
+        for part in self._parts(start.size):
             with np.errstate(over="ignore", invalid="ignore"):
                 flow = self.plant.transition(start[part] - self.pieces.right[owner[part]])
-                F = flow @ self.F[owner[part]]
+                held = np.swapaxes(self.right[owner[part]], 1, 2) / self.spread[owner[part], None]
+                F = flow @ held
                 sound = np.isfinite(F).all(axis=(1, 2)) & ~self.zero[owner[part]]
                 F = np.where(sound[:, None, None], F, 0.0)
                 D = self.D[:, None]
@@ -141,20 +144,26 @@ class _PieceRows:
                 second[part] = np.where(sound, np.linalg.norm(D * (self.A2 @ F), axis=(1, 2)), np.inf)
                 plain[part] = np.where(sound, np.linalg.norm(F, axis=(1, 2)), np.inf)
                 if self.balanced:  # what of it is rounding
-                    terms = np.linalg.norm(flow, axis=(1, 2)) * np.linalg.norm(self.F[owner[part]], axis=(1, 2))
+                    terms = np.linalg.norm(flow, axis=(1, 2)) * np.linalg.norm(held, axis=(1, 2))
                     value[part] += self.grade * self.D.max() * terms
                     second[part] += self.grade * np.linalg.norm(D * self.A2) * terms
         return value, second, plain
 
     def below_rounding(self, owner: Integers, start: Array, value: Array) -> Mask:
         """Where sigma = 1/value lies below n eps |O(s)|."""
+        size = np.empty(start.size)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
-            sigma = 1 / value
-            largest = np.abs(back).max(axis=(1, 2), initial=np.finfo(float).tiny)  # its square may overflow
-            size = np.linalg.norm(back / largest[:, None, None], axis=(1, 2)) * largest
-            least = self.plant.n_states * _EPS * size
-        return np.asarray(least >= sigma)
+            for part in self._parts(start.size):
+                O = self.seen[owner[part], :, None] * self.right[owner[part]]
+                back = O @ self.plant.transition(self.pieces.right[owner[part]] - start[part])
+                largest = np.abs(back).max(axis=(1, 2), initial=np.finfo(float).tiny)  # its square may overflow
+                size[part] = np.linalg.norm(back / largest[:, None, None], axis=(1, 2)) * largest
+            return np.asarray(self.plant.n_states * _EPS * size >= 1 / value)
+
+    def _parts(self, count: int) -> Iterator[slice]:
+        """Yield slices of so many window starts that are looked at together."""
+        step = max(1, _CHUNK // self.plant.n_states**2)
+        yield from (slice(low, low + step) for low in range(0, count, step))
 
     def ceiling(self, h: Array, ends: tuple[Array, ...]) -> Array:
         """Proven upper bound on |D F| over intervals of length h with what `at` says of a and of b."""

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
@@ -222,8 +223,8 @@ def least_observed(rows: Array, counted: int) -> tuple[Array, float, Array]:
     sigma = min |O x| / |x_1, ..., x_counted|; the shares are sigma sqrt((O'O)^-1_ii), infinite without full rank.
     """
     n = rows.shape[1]
-    R = rows if len(rows) <= n else np.linalg.qr(rows, mode="r")
-    _, singular, right = np.linalg.svd(R, full_matrices=True)
+    R = rows if len(rows) <= n else np.asarray(np.linalg.qr(rows, mode="r"))
+    singular, right = right_directions(R)
     if len(rows) < n or not singular[-1] > 0:
         return (right[-1], 0.0, np.full(n, np.inf))
     F = right.T * (singular[-1] / singular)  # O^+ but for a turn and its size

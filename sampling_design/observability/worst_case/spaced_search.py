@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.budget import ENDLESS, Budget
@@ -236,7 +237,7 @@ def _slopes(rows: SpacedRows, direction: Array, times: Array) -> Array:
 def _weakest(observed: Array) -> tuple[Array, Array]:
     """Sigma_n and the right singular vector of matrices (B, N, n)."""
     n = observed.shape[-1]
-    _, singular, right = np.linalg.svd(observed, full_matrices=observed.shape[1] < n)
+    singular, right = right_directions(observed)
     sigma = singular[:, n - 1] if observed.shape[1] >= n else np.zeros(observed.shape[0])
     return sigma, right[:, n - 1]
 
@@ -294,7 +295,7 @@ def _newton(rows: SpacedRows, best: AttainedSchedule, budget: Budget) -> Attaine
 def _derivatives(rows: SpacedRows, at: AttainedSchedule) -> tuple[Array, Array]:
     """Gradient and Hessian of lambda_min(O'O) with respect to the times of the readings, k G of them."""
     here = rows.at(rows.times(at.slacks), at.moves)
-    _, singular, right = np.linalg.svd(here.reshape(-1, rows.n), full_matrices=True)
+    singular, right = right_directions(here.reshape(-1, rows.n))
     level = np.zeros(rows.n)
     level[: singular.size] = singular**2
     y, dy, ddy = (m @ right.T for m in (here, here @ rows.A, here @ rows.A @ rows.A))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.observability.worst_case.spaced_rows import OutputGroup, SpacedRows
 from sampling_design.records.arrays import Array, Integers
 
@@ -153,11 +154,11 @@ class SphereTables:
         self.slab = np.zeros(0)
         self._states = self._back() if self.pulled else np.zeros((0, self.rows.n, self.rows.n))
         if not len(self._states):
-            return np.asarray(np.linalg.svd(seen)[2].T)
-        _, sees, axes = np.linalg.svd(self.rows.middle @ self.basis)
+            return np.asarray(right_directions(seen)[1].T)
+        sees, axes = right_directions(self.rows.middle @ self.basis)
         self.slab = sees[sees > _UNOBSERVED * sees[0]]
         first, rest = axes[: self.slab.size].T, axes[self.slab.size :].T
-        within = np.linalg.svd(seen @ rest)[2].T if rest.shape[1] else np.zeros((0, 0))
+        within = right_directions(seen @ rest)[1].T if rest.shape[1] else np.zeros((0, 0))
         turn = np.hstack([first, rest @ within])
         flow = float(np.linalg.norm(self._states, axis=(1, 2)).max())
         self._astray = self.rows.grade * flow * float(np.linalg.norm(self.basis))  # by rounding, of a state's length

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.records.arrays import Array, Complex, Mask
 from sampling_design.uncertain.box.expansion import BoxCells, expanded, signs
 from sampling_design.uncertain.box.model import BoxModel
@@ -109,7 +110,7 @@ def _worst(M: Array, unit: Array) -> Array:
     values, vectors = np.linalg.eigh(M)
     positive = np.asarray((values[..., 0] > 0).all(axis=1))
     root = vectors / np.sqrt(np.maximum(values, 1e-300))[..., None, :]
-    _, s, right = np.linalg.svd(unit[:, None] @ root)
+    s, right = right_directions(unit[:, None] @ root)
     k, rows = np.argmax(s[..., 0], axis=1), np.arange(len(M))
     found = np.einsum("kab,kb->ka", root[rows, k], right[rows, k, 0])
     return np.where(positive[:, None], found, 0.0)

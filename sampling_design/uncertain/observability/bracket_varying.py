@@ -28,6 +28,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
+from sampling_design.numerics.linalg import right_directions
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations, uninterrupted
 from sampling_design.observability.windows.bracket import WindowBracket, too_few
@@ -130,7 +131,7 @@ class VaryingSearch:
         rows = rows if mask is None else rows * mask[:, None, :, None]
         each, chosen = np.arange(len(samples)), np.zeros(len(samples), dtype=np.intp)
         for _ in range(TURNS if len(samples) else 0):
-            state = np.linalg.svd(rows[each, chosen].reshape(-1, self.plant.n_states))[2][-1]
+            state = right_directions(rows[each, chosen].reshape(-1, self.plant.n_states))[1][-1]
             chosen = np.argmin(np.linalg.norm(rows @ state, axis=2), axis=1)
         return np.asarray(real[each, chosen])
 
@@ -299,7 +300,7 @@ def _bracket(
     """What was found, as the search of a plant that does not vary tells it."""
     pieces, n = search.pieces, best.rows.shape[1]
     every = [sorted(own, key=lambda node: node.at) for own in nodes]
-    direction = np.linalg.svd(best.rows)[2][-1] if len(best.rows) else np.eye(n)[0]
+    direction = right_directions(best.rows)[1][-1] if len(best.rows) else np.eye(n)[0]
     return WindowBracket(
         lower=min(float(floors.min()), best.sigma),
         status=status,

@@ -15,6 +15,7 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.numerics.linalg import expm_batch, forced_flow
 from sampling_design.records.arrays import Array
+from sampling_design.records.kept import kept
 
 GRID = (64, 2048)  # least and largest number of panels of a gap on which the profile stands
 FINENESS = 0.1  # length of such a panel times |A| in scaled coordinates
@@ -81,7 +82,7 @@ def open_row(
 
 def speed_of(system: SampledSystem) -> float:
     """As fast as which the panels of a system's gaps take its plant to be."""
-    return float(np.linalg.norm(system.A, 2)) if system.speed is None else system.speed
+    return system.size if system.speed is None else system.speed
 
 
 def _grid(speed: float, begin: float, end: float, least: int = GRID[0]) -> Array:
@@ -89,9 +90,16 @@ def _grid(speed: float, begin: float, end: float, least: int = GRID[0]) -> Array
     return np.linspace(begin, end, (number if end > begin else 1) + 1)
 
 
-def _along(A: Array, row: Array, step: float, count: int) -> Array:
-    """Rows c'e^{Ak step} (count, n) by doubling, with as few roundings as squaring has: one exponential for all."""
-    rows, ahead = row[None], expm_batch(A, [step])[0]
+@kept
+def _over_panel(A: Array, G: Array, step: float) -> tuple[Array, Array, Array]:
+    """e^{A step}, e^{A step/2} A^3 and int_0^step e^{As}G ds."""
+    over = forced_flow(A, G, [step])[0]
+    return over[:, : len(A)], expm_batch(A, [step / 2])[0] @ (A @ A @ A), over[:, len(A) :]
+
+
+def _along(row: Array, ahead: Array, count: int) -> Array:
+    """Rows c'`ahead`^k (count, n) by doubling, with as few roundings as squaring has."""
+    rows = row[None]
     while len(rows) < count:
         rows, ahead = np.vstack([rows, rows @ ahead]), ahead @ ahead
     return rows[:count]
@@ -102,14 +110,14 @@ def _open_integrals(system: SampledSystem, d: Array, row: Array) -> Integrals:
 
     The bounds are those on |c'Phi A^3| and on the slope of h_W.
     """
-    A, G, n = system.A, system.G, system.D.size
+    A, G, first = system.A, system.G, row * system.D
     step = float(d[-1] - d[0]) / (d.size - 1)
-    propagated = _along(A, (row * system.D) @ expm_batch(A, d[:1])[0], step, d.size)
+    ahead, turned, driven = _over_panel(A, G, step)
+    propagated = _along(first @ expm_batch(A, d[:1])[0] if d[0] else first, ahead, d.size)
     p, first, bend = propagated @ G, propagated @ (A @ G), propagated @ (A @ A @ G)
-    turned = propagated[:-1] @ expm_batch(A, [step / 2])[0] @ (A @ A @ A)
-    middle = np.linalg.norm(turned, axis=1) * np.exp(float(np.linalg.norm(A, 2)) * step / 2)
+    middle = np.linalg.norm(propagated[:-1] @ turned, axis=1) * np.exp(system.size * step / 2)
     third = middle * np.linalg.norm(G, 2)
-    mean = propagated[:-1] @ forced_flow(A, G, [step])[0, :, n:]
+    mean = propagated[:-1] @ driven
     if system.bounds.w_ball:
         value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
         curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third

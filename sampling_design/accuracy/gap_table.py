@@ -22,7 +22,7 @@ PANEL = 0.03125
 
 PANELS = (16, 4096)  # least and largest number of panels of a gap, powers of two
 
-MANY, JOINED = 256, 4
+MANY, JOINED = 256, 8
 """Panels from which on so many become one where integrals are only sizes of what a filter forgets: of stiff plants."""
 
 FINER = 4
@@ -201,7 +201,7 @@ class GapTable:
             number = int(np.clip(np.ceil(self._size * length / panel), *PANELS))
             number += -number % JOINED if number > MANY else 0
             with np.errstate(over="ignore", invalid="ignore"):
-                self._known.update(self._make_alike(np.array([length]), number, 2))
+                self._known.update(self._make_alike(np.array([length]), number))
         return self._known[length]
 
     def _make(self, lengths: Array) -> None:
@@ -214,8 +214,8 @@ class GapTable:
         wanted = np.clip(np.ceil(self._size * lengths / PANEL), *PANELS)
         return np.asarray(np.exp2(np.ceil(np.log2(wanted))), dtype=np.intp)
 
-    def _make_alike(self, lengths: Array, number: int, order: int | None = None) -> dict[float, PropagatedGap]:
-        """Gaps with equally many panels; norms of order 2 are the sharpest, those of Frobenius are quicker."""
+    def _make_alike(self, lengths: Array, number: int) -> dict[float, PropagatedGap]:
+        """Gaps with equally many panels."""
         n, step = len(self.A), lengths / number
         first = forced_flow(self.A, self.G, step)
         E = np.empty((lengths.size, number + 1, n, n))
@@ -227,7 +227,7 @@ class GapTable:
             known += more
         propagated, bend = E @ self.G, E @ self._second
         middle = expm_batch(self.A, step / 2) @ self._third
-        third = np.linalg.norm(E[:, :-1] @ middle[:, None], order, (2, 3)) * np.exp(self._size * step / 2)[:, None]
+        third = np.linalg.norm(E[:, :-1] @ middle[:, None], axis=(2, 3)) * np.exp(self._size * step / 2)[:, None]
         inner = E[:, :-1] @ first[:, None, :, n:]
         marks = self._marks(propagated, bend, step)
         return {

@@ -30,9 +30,9 @@ from sampling_design.records.arrays import Array, Index, Mask
 EXACT = 1e-6  # size given to an exact sensor, in units of what w does to its output over a period: for scaling only
 
 PANEL = 0.125  # length of a panel times |A| in scaled coordinates
-CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone
+CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose at first
 BETWEEN = (0.2360, 0.6180)  # shares of a gap at which the outputs are looked at for the sizes of what its samples hide
-CONTRACTED = 1e-3  # samples are added until the filter's error forgets all but this share of its past
+CONTRACTED = 0.03  # samples are added until the filter's error forgets all but this share of its past
 
 PATIENT, HALVED = 256, 0.5
 """Samples from which on so large a share may be left of it: a filter that forgets slowly took ten times as many, and
@@ -54,20 +54,37 @@ class GapDynamics:
     flow: PropagatedGap
     back: Array
     """(n, n): g = back mu for columns mu that multiply z at the end of the gap."""
-    edges: Array
-    """Ends of the cells on which the adversary's w is constant, back from the end of the gap."""
-    cells: Array
-    """(m, n, q): int over a cell of e^{A_z s} G_z ds."""
+    table: GapTable
+    loss: float
+    """What an adversary whose w is constant on cells may lose, as a share, by the curvature of e^{A_z s} G_z alone."""
+
+    @property
+    def edges(self) -> Array:
+        """Ends of the cells, back from the end of the gap."""
+        return self._cut[0]
+
+    @property
+    def cells(self) -> Array:
+        """(m, n, q): int over a cell of e^{A_z s} G_z ds."""
+        return self._cut[1]
+
+    @cached_property
+    def _cut(self) -> tuple[Array, Array]:
+        """Edges and integrals of cells so short that delta^2/24 |M''|/|M| <= loss."""
+        s, ahead = np.linspace(0.0, self.length, len(self.flow.propagated)), self.back.T
+        rate = cell_rate(ahead @ self.flow.propagated, ahead @ self.flow.bend, self.loss)
+        marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
+        number = max(2, int(np.ceil(marks[-1])))
+        even = np.linspace(0.0, s[-1], number + 1)
+        edges = np.unique(np.interp(np.linspace(0.0, marks[-1], number + 1), marks, s)) if marks[-1] > 0 else even
+        edges[0], edges[-1] = 0.0, s[-1]
+        A, G = self.table.A, self.table.G
+        inner = forced_flow(A, G, np.diff(edges))[:, :, len(A) :]
+        return edges, ahead @ (expm_batch(A, edges[:-1]) @ inner)
 
     def integral(self, mu: Array, ball: bool) -> Array:
         """Return an upper bound on the integral over the gap of h_W for each column of mu (n, k), for all real s."""
         return self.flow.integral(self.back @ mu, ball)
-
-    def integrals(self, passed: list[Array], ball: bool) -> Array:
-        """The same for columns that come by one after the other; coarser once those that decay fast are gone."""
-        first, *others = (self.back @ mu for mu in passed)
-        later = [self.flow.coarser.integral(np.hstack(others), ball)] if others else []
-        return np.concatenate([self.flow.integral(first, ball), *later])
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +136,11 @@ class SampledSystem:
     before: tuple[int, ...] = ()
     # how fast the panels of a gap take A to be, if not |A|, so that systems in other coordinates have the same panels
     speed: float | None = None
+
+    @cached_property
+    def size(self) -> float:
+        """|A|."""
+        return float(np.linalg.norm(self.A, 2))
 
     @property
     def determined(self) -> int:
@@ -215,10 +237,7 @@ class SampledSystem:
 
     def refined(self, loss: float) -> SampledSystem:
         """Return the system with cells so fine that their curvature loses no more than `loss`."""
-        after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
-        fresh = [_cells(self.A, self.G, L, gap.flow, gap.length, loss) for L, gap in zip(after, self.gaps, strict=True)]
-        cut = zip(self.gaps, fresh, strict=True)
-        return replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in cut))._proven_as(self)
+        return replace(self, gaps=tuple(replace(gap, loss=loss) for gap in self.gaps))._proven_as(self)
 
     def at_speed(self, speed: float) -> SampledSystem:
         """Return the system whose panels take A to be so fast."""
@@ -320,8 +339,9 @@ class SampledSystem:
                         f"{PERIODS} periods."
                     )
                 if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
-                    for gap, columns in propagated.items():
-                        every = self.gaps[gap].integrals(columns, self.bounds.w_ball)
+                    for k, columns in propagated.items():
+                        gap = self.gaps[k]
+                        every = gap.flow.coarser.integral(gap.back @ np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break
@@ -449,18 +469,4 @@ def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, lo
         raise too_far()
     back = np.asarray(np.linalg.inv(following).T, dtype=np.float64)
     through = np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64)
-    return GapDynamics(h, through, flow, back, *_cells(table.A, table.G, following, flow, h, loss))
-
-
-def _cells(A: Array, G: Array, following: Array, flow: PropagatedGap, h: float, loss: float) -> tuple[Array, Array]:
-    """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
-    n, s = len(A), np.linspace(0.0, h, len(flow.propagated))
-    M, bend = (np.asarray(np.linalg.solve(following, X), dtype=np.float64) for X in (flow.propagated, flow.bend))
-    rate = cell_rate(M, bend, loss)
-    marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
-    number = max(2, int(np.ceil(marks[-1])))
-    even = np.linspace(0.0, s[-1], number + 1)
-    edges = np.unique(np.interp(np.linspace(0.0, marks[-1], number + 1), marks, s)) if marks[-1] > 0 else even
-    edges[0], edges[-1] = 0.0, s[-1]
-    inner = forced_flow(A, G, np.diff(edges))[:, :, n:]
-    return edges, np.asarray(np.linalg.solve(following, expm_batch(A, edges[:-1]) @ inner), dtype=np.float64)
+    return GapDynamics(h, through, flow, back, table, loss)

@@ -204,6 +204,7 @@ def answer_of(
             if progress is not None:
                 between = f"{below(found[k].lower)} to {above(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
+        search.sketch_rows(found.values())
     if planned is not None and search is not None:  # on the same panels
         planned.system = planned.system.at_speed(speed_of(search.system))
     record = replace(
@@ -234,6 +235,7 @@ def bracket_of_rows(
         return lower, upper
     search = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=limit)
     found = [search.row(rows[k] @ known.lift, _without_margin(tolerance), MOST_SOLVES) for k in safe]
+    search.sketch_rows(found)
     for k, row in zip(safe, found, strict=True):
         again = search.opened(row.row, row.opened)
         upper[k] = search.top(again)[0] * (1 + MARGIN)

@@ -18,7 +18,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.kept import kept
 
 GRID = (64, 2048)  # least and largest number of panels of a gap on which the profile stands
-FINENESS = 0.1  # length of such a panel times |A| in scaled coordinates
+FINENESS = 0.1  # length of such a panel times the pace of A in scaled coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def open_row(
 
 def speed_of(system: SampledSystem) -> float:
     """As fast as which the panels of a system's gaps take its plant to be."""
-    return system.size if system.speed is None else system.speed
+    return system.pace if system.speed is None else system.speed
 
 
 def _grid(speed: float, begin: float, end: float, least: int = GRID[0]) -> Array:

@@ -84,8 +84,15 @@ class BoundedDirections:
             self.mu[place], self.gains[place] = mu, gains
         self._prune()
 
+    def extend(self, mu: Array, gains: Sequence[Gains]) -> None:
+        """Keep those of many bounded directions (m, n) that others do not bound better."""
+        better = [k for k, bound in enumerate(self.bound(mu)[: len(gains)]) if gains[k].value < bound]
+        self.mu = np.vstack([self.mu, mu[better]])
+        self.gains += [gains[k] for k in better]
+        self._prune()
+
     def _prune(self) -> None:
-        """Drop what the last direction bounds better, with others."""
+        """Drop what other directions bound better together."""
         if len(self.gains) < 2:
             return
         bounds = self.bound(self.mu)

@@ -39,6 +39,7 @@ def followed_back(
     mu: Array,
     gains_at: Callable[[int, Array], Array],
     known: Callable[[int], Array | None] | None = None,
+    integral: Callable[[GapDynamics, Array, bool], Array] = GapDynamics.integral,
 ) -> tuple[Array, Array, Array, Array | None]:
     """Columns mu (n, m) at the last node, followed back through the gains that are given there.
 
@@ -65,7 +66,7 @@ def followed_back(
                 if reach is not None:
                     break
     for gap, columns in propagated.values():
-        every = gap.integral(np.hstack(columns), system.bounds.w_ball)
+        every = integral(gap, np.hstack(columns), system.bounds.w_ball)
         total = total + every.reshape(len(columns), -1).sum(axis=0)
     return total, g, scale, reach
 
@@ -79,6 +80,28 @@ def filter_gains(system: SampledSystem, nodes: list[int], mu: Array) -> list[Arr
         if k:
             g = system.gap(nodes[k - 1]).F.T @ (g - sample.H.T @ gains[k])
     return gains
+
+
+def filtered(system: SampledSystem, nodes: list[int], known: Callable[[int], Array | None], mu: Array) -> list[Gains]:
+    """Return what the filter's gains prove of every column of mu'z_K, mu (n, k), with sizes for integrals; no solver.
+
+    `known` as for `followed_back`; nothing, where the first of the nodes bounds nothing.
+    """
+    gains = list[Array]()
+
+    def gains_at(k: int, g: Array) -> Array:
+        gains.append(system.samples[nodes[k]].K.T @ g)
+        return gains[-1]
+
+    total, g, _, reach = followed_back(system, nodes, mu, gains_at, known, GapDynamics.size)
+    if reach is not None:
+        gains.append(np.zeros((len(system.samples[nodes[-len(gains) - 1]].H), mu.shape[1])))
+    else:
+        reach = known(0)
+    if reach is None:
+        return []
+    values = (total + reach @ np.abs(g)) * (1 + ROUNDING)
+    return [Gains(float(value), tuple(lam[:, k] for lam in gains[::-1])) for k, value in enumerate(values)]
 
 
 def transferred_gains(

@@ -22,8 +22,10 @@ PANEL = 0.03125
 
 PANELS = (16, 4096)  # least and largest number of panels of a gap, powers of two
 
-MANY, JOINED = 256, 8
+MANY, JOINED = 256, 4
 """Panels from which on so many become one where integrals are only sizes of what a filter forgets: of stiff plants."""
+
+LONGEST = 0.1  # share of |A| that counts for the length of panels in any case
 
 FINER = 4
 """Panels after the last sample are so many times shorter: there is one gap only, and nothing hides what it loses."""
@@ -113,6 +115,15 @@ class PropagatedGap:
             return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))
 
 
+def pace(A: Array) -> float:
+    """As fast as which panels take e^{As} to be.
+
+    What they lose goes with A^2: where A is far from normal, |A| is many times as much. They stay below 1/|A|, or
+    nearly so, since the third derivative is followed along a panel by |A| alone.
+    """
+    return max(math.sqrt(np.linalg.norm(A @ A, 2)), float(np.linalg.norm(A, 2)) * LONGEST)
+
+
 def cell_rate(M: Array, bend: Array, loss: float) -> Array:
     """Cells per time so short that delta^2/24 |M''|/|M| <= loss, along stacks of M and M'' (..., n, m)."""
     size, curve = (np.linalg.norm(X, axis=(-2, -1)) for X in (M, bend))
@@ -195,10 +206,14 @@ class GapTable:
                 self._make(np.array(missing))
         return [self._known[h] for h in lengths]
 
+    @cached_property
+    def _pace(self) -> float:
+        return pace(self.A)
+
     def cut(self, length: float, panel: float) -> PropagatedGap:
-        """Return one gap, whose panels times |A| are at most so long; all that are asked for so have one size."""
+        """Return one gap, whose panels times its pace are at most so long; all that are asked for so have one size."""
         if length not in self._known:
-            number = int(np.clip(np.ceil(self._size * length / panel), *PANELS))
+            number = int(np.clip(np.ceil(self._pace * length / panel), *PANELS))
             number += -number % JOINED if number > MANY else 0
             with np.errstate(over="ignore", invalid="ignore"):
                 self._known.update(self._make_alike(np.array([length]), number))

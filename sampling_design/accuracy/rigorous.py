@@ -11,7 +11,8 @@ import numpy.typing as npt
 from sampling_design.accuracy.between_samples import FINENESS, GRID
 from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.sampled_system import SampledSystem
+from sampling_design.accuracy.gap_table import PANELS
+from sampling_design.accuracy.sampled_system import PANEL, SampledSystem
 from sampling_design.numerics.balls import Ball, Matrix, ball, flint, matrix, precision
 from sampling_design.records.arrays import Array
 
@@ -102,9 +103,9 @@ class BallSystem:
         return self._flows[length, count]
 
     def gap(self, j: int) -> tuple[Matrix, _CostatePanels]:
-        """Flow and panels of gap j, as fine as those of the system."""
+        """Flow and panels of gap j, finer than those of the system where |A| alone says what a panel loses."""
         gap = self.system.gaps[j]
-        return self.over(gap.length, gap.flow.third.size)
+        return self.over(gap.length, int(np.clip(np.ceil(self.system.size * gap.length / PANEL), *PANELS)))
 
     def measure(self, entries: list[Ball]) -> Ball:
         """h_W in units of the bounds."""

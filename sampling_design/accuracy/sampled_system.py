@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
-from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, state_scales
+from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, pace, state_scales
 from sampling_design.accuracy.riccati import settled
 from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import UndecidedError
@@ -29,7 +29,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 
 EXACT = 1e-6  # size given to an exact sensor, in units of what w does to its output over a period: for scaling only
 
-PANEL = 0.125  # length of a panel times |A| in scaled coordinates
+PANEL = 0.125  # length of a panel times the pace of A in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose at first
 BETWEEN = (0.2360, 0.6180)  # shares of a gap at which the outputs are looked at for the sizes of what its samples hide
 CONTRACTED = 0.03  # samples are added until the filter's error forgets all but this share of its past
@@ -86,6 +86,10 @@ class GapDynamics:
         """Return an upper bound on the integral over the gap of h_W for each column of mu (n, k), for all real s."""
         return self.flow.integral(self.back @ mu, ball)
 
+    def size(self, mu: Array, ball: bool) -> Array:
+        """The same, a little larger, on coarser panels where there are many."""
+        return self.flow.coarser.integral(self.back @ mu, ball)
+
 
 @dataclass(frozen=True, eq=False)
 class MeasurementModel:
@@ -134,13 +138,18 @@ class SampledSystem:
     # of the nodes beyond the samples: which sample each one is, and the node before it (-1: none)
     again: tuple[int, ...] = ()
     before: tuple[int, ...] = ()
-    # how fast the panels of a gap take A to be, if not |A|, so that systems in other coordinates have the same panels
+    # how fast panels take A to be, if not as its `pace`, so that systems in other coordinates have the same ones
     speed: float | None = None
 
     @cached_property
     def size(self) -> float:
         """|A|."""
         return float(np.linalg.norm(self.A, 2))
+
+    @cached_property
+    def pace(self) -> float:
+        """As fast as which panels take A to be."""
+        return pace(self.A)
 
     @property
     def determined(self) -> int:
@@ -340,8 +349,7 @@ class SampledSystem:
                     )
                 if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
                     for k, columns in propagated.items():
-                        gap = self.gaps[k]
-                        every = gap.flow.coarser.integral(gap.back @ np.hstack(columns), self.bounds.w_ball)
+                        every = self.gaps[k].size(np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,7 +12,7 @@ from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, bo
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import InitialSet
-from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, transferred_gains
+from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, filtered, transferred_gains
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
@@ -103,8 +103,8 @@ class GainSearch:
         self.adversaries: list[list[Adversary]] = [[] for _ in range(len(system.samples))]
         undriven = system.lasting is not None and system.lasting.undriven
         self._forgets = system.start is None and not undriven
-        self._follows = self._forgets and system.D.size >= FOLLOWED
-        self._tail = min(system.memory, TAIL) if self._follows else 1
+        self.follows = self._forgets and system.D.size >= FOLLOWED
+        self._tail = min(system.memory, TAIL) if self.follows else 1
         self._long = self._forgets and system.memory > LASTING and boxed(system, list(range(len(system))))
         if self._long:
             self.deep, self.back = system.memory, system.memory // 2
@@ -153,7 +153,7 @@ class GainSearch:
         if key not in self._windows:
             system = self._coarse if rough else self.system
             begun = system.lasting if lasting else None
-            tolerance = ROUGH if rough and self._follows and not from_zero else TOLERANCE
+            tolerance = ROUGH if rough and self.follows and not from_zero else TOLERANCE
             self._windows[key] = ConeWindow(system, *self.past(j, count, from_zero), tolerance, begun)
         return self._windows[key]
 
@@ -166,6 +166,28 @@ class GainSearch:
             gains = min(gains, self.followed(j, mu, gains.gains), key=lambda one: one.value)
         self.directions[j].add(mu, gains)
         return gains
+
+    def sketch(self, j: int, mu: Array) -> None:
+        """Keep the filter's gains for rows of mu (m, n), where no others prove more; no solver."""
+        nodes = self.system.nodes(j, TAIL)
+
+        def known(k: int) -> Array | None:
+            if self.system.start is None and nodes[k] < len(self.system):
+                return np.asarray(self.system.reach[nodes[k]])
+            return self.directions[nodes[k]].reach if self.directions[nodes[k]].whole else None
+
+        self.directions[j].extend(mu, filtered(self.system, nodes, known, mu.T))
+
+    def sketch_rows(self, rows: Collection[RowSearch]) -> None:
+        """Once the budget is spent: the same for rows far from what is attained, at the ends and tops of gaps."""
+        for j in self.system.judged if self.budget.over else ():
+            mu = []
+            for found in rows:
+                nodes = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)
+                if nodes.max() > PROFILE * found.lower:
+                    mu.append(found.opened[j].mu[[0, int(np.argmax(nodes)), -1]])
+            if mu:
+                self.sketch(j, np.vstack(mu))
 
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
@@ -359,7 +381,7 @@ class GainSearch:
 
     def _promising(self, found: RowSearch, j: int, offset: int, enough: float) -> bool:
         """Whether gains at an offset may lower a bound there, which is not the width of its panel alone."""
-        any_solved = self._follows and any(map(bool, found.solved.values()))
+        any_solved = self.follows and any(map(bool, found.solved.values()))
         untried = (j, offset) not in found.combined and (bool(self.directions[j].gains) or any_solved)
         return offset not in found.solved[j] and (untried or float(found.nodes[j][offset]) > enough)
 
@@ -376,7 +398,7 @@ class GainSearch:
     def _guessed(self, found: RowSearch, j: int, offset: int) -> Iterator[Gains]:
         """Gains at an offset of gap j, from those of its own directions and of the gap where one is solved nearest."""
         mu, d = found.opened[j].mu[offset], found.opened[j].d[offset]
-        others = {k: own for k, own in found.solved.items() if own and k != j and self._follows}
+        others = {k: own for k, own in found.solved.items() if own and k != j and self.follows}
         apart = {k: min(abs(found.opened[k].d[o] - d) for o in own) for k, own in others.items()}
         for k in [j, *sorted(apart, key=apart.__getitem__)[:1]]:
             opened, directions = found.opened[k], self.directions[k]
@@ -384,7 +406,7 @@ class GainSearch:
                 continue
             target = mu if k == j else opened.mu[int(np.argmin(np.abs(opened.d - d)))]
             gains, made = combined(self.system, k, target, directions)
-            yield self.followed(j, mu, gains, (k, made)) if self._follows else self.evaluate(j, mu, gains)
+            yield self.followed(j, mu, gains, (k, made)) if self.follows else self.evaluate(j, mu, gains)
 
     def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
         opened = found.opened[j]

@@ -104,13 +104,13 @@ def noise_enough(
         rushed += budget.over
         if turn:
             search = GainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
-        found = added(search, question, known, seek=not budget.over)
+        found = added(search, question, known, seek=True)
         enough = is_enough(tried, found)
         if not np.isfinite(found).all() or (rushed > RUSHED and not enough):
             break
         if enough:
             kept = tried, search, planned
-            if np.all(tried <= ENOUGH * found) or budget.over:
+            if np.all(tried <= ENOUGH * found) or rushed >= RUSHED:
                 return kept
             before, tried = tried, found * (1 + (ENOUGH - 1) / 2)
             continue
@@ -138,22 +138,22 @@ def is_enough(noise: Array, found: Array, room: float = MORE / 2) -> bool:
 def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
     """Return g (N, p): what samples add at most that come so early or late, by directions of a search, or new ones.
 
-    New ones look back as far as the filter remembers, whatever the search does for its rows.
+    New ones look back as far as the filter remembers, whatever the search does for its rows, or go on as the filter
+    does; once the budget is spent they are the filter's.
     """
     measured = {i for _, i in search.system.incoming}
     powers = _powers(question.plant.A) if known.unknown.shape[1] else []
     if any(known.touches(question.plant.C[i] @ power) for i in measured for power in powers):
         return np.full_like(question.bounds.v, np.inf)
     own = search.back
-    if seek and search.system.start is None:
+    if seek and search.system.start is None and not search.follows:
         search.back = int(np.clip(search.system.memory, search.back, FARTHEST))
     late, g = question.timing_tolerance, np.zeros_like(question.bounds.v)
     forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
     for (j, i), node in search.system.incoming.items():
         sides, table = (float(forward[i]), float(back[i])), tables.setdefault(i, ({}, {}))
-        more = seek and not search.budget.over
-        g[j, i] = sample_adds(search, node, question.plant.C[i] @ known.lift, sides, table, more)
+        g[j, i] = sample_adds(search, node, question.plant.C[i] @ known.lift, sides, table, seek)
     search.back = own
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
@@ -168,15 +168,17 @@ def sample_adds(
 
     `known` serves all samples of that output.
     """
-    most = 0.0
-    for back, (late, table) in enumerate(zip(sides, known, strict=True)):
-        if not late:
-            continue
-        opened = moved_row(search.system, j, row, late, bool(back), table)
-        if seek:
-            search.gains(j, opened.mu[-1])
-        most = max(most, float(opened.bound(search.directions[j])[1].max()))
-    return most
+    opened = [
+        moved_row(search.system, j, row, late, bool(back), table)
+        for back, (late, table) in enumerate(zip(sides, known, strict=True))
+        if late
+    ]
+    if seek and search.budget.over:
+        search.sketch(j, np.array([each.mu[-1] for each in opened]))
+    elif seek:
+        for each in opened:
+            search.gains(j, each.mu[-1])
+    return max((float(each.bound(search.directions[j])[1].max()) for each in opened), default=0.0)
 
 
 def _powers(A: Array) -> list[Array]:

@@ -418,7 +418,21 @@ def test_a_spent_budget_says_where_the_noise_of_late_samples_was_not_found():
     plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0, 0.7])
     asked = {"w_bound": 0.1, "v_bound": 0.1, "of": "x1"}
     with pytest.raises(UndecidedError, match="`budget` ended before noise was found"):
-        guaranteed_accuracy(plant, schedule, timing_tolerance=0.33, budget=1e-9, **asked)
-    rushed = guaranteed_accuracy(plant, schedule, timing_tolerance=0.1, budget=1e-9, **asked)
-    assert 0 < rushed.lower[0] <= rushed.upper[0] < 3
+        guaranteed_accuracy(plant, schedule, timing_tolerance=0.345, budget=1e-9, **asked)
+    for late, most in ((0.1, 1.0), (0.33, 5.0)):
+        rushed = guaranteed_accuracy(plant, schedule, timing_tolerance=late, budget=1e-9, **asked)
+        assert 0 < rushed.lower[0] <= rushed.upper[0] < most
+        assert rushed.verify()
+
+
+@pytest.mark.parametrize("late", [0.0, 0.03])
+def test_gains_of_the_filter_alone_prove_nearly_what_searched_ones_do(late):
+    rng = np.random.default_rng(3)
+    T = rng.standard_normal((6, 6))
+    A = T @ np.diag(rng.uniform(-1.0, 0.1, 6)) @ np.linalg.inv(T)
+    plant, schedule = Plant(A, rng.standard_normal((2, 6))), PeriodicSchedule([1.0, 0.7, 1.2])
+    asked = {"w_bound": [0.1] * 6, "v_bound": [0.1] * 2, "of": np.eye(6)[:2], "timing_tolerance": late}
+    rushed, searched = (guaranteed_accuracy(plant, schedule, budget=seconds, **asked) for seconds in (1e-9, 4.0))
     assert rushed.verify()
+    assert np.all(searched.lower <= rushed.upper)
+    assert np.all(rushed.upper <= 1.3 * searched.upper)

@@ -324,9 +324,11 @@ def state_interval(
     Notes
     -----
     *Assumptions.* w, v (but for `outliers`) and the initial error keep their bounds. *Claim.* Each row lies in its
-    interval, and every value in it is possible up to the width of the cells on which w is constant. If the data
-    contradict the bounds, the gains prove it. *Method.* The adversary's program with the data in place of zeros; its
-    multipliers are gains, evaluated without the solver.
+    interval. Every value in it is possible, up to the width of the cells on which w is constant, where times are known
+    and all samples count: one whose time is uncertain counts as limits at the middle of its span, which may leave more,
+    and with `outliers` there may be gaps between what the `cases` leave. If the data contradict the bounds, the gains
+    prove it. *Method.* The adversary's program with the data in place of zeros; its multipliers are gains, evaluated
+    without the solver.
 
     References
     ----------

@@ -267,6 +267,22 @@ def test_a_reading_whose_meaning_rests_on_one_that_is_taken_back_must_still_be_k
     assert estimator.state is rested
 
 
+def test_an_interval_may_hold_what_none_of_the_times_leaves():
+    """The reading counts as limits at the middle of its span: of values inside is claimed less than of known times."""
+    swing = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2))
+
+    def at_the_end(since, until):
+        record = sd.Measurements(swing, [[since, until]], [[1.0, 0.0]])
+        start = {"prior": [0.0, 0.0], "prior_time": -1.0, "initial_error": [2.0, 2.0]}
+        found = sd.state_interval(swing, record, 6.5, w_bound=0.0, v_bound=[0.1, 0.1], of="x1", **start)
+        return float(found.lower[0]), float(found.upper[0])
+
+    every = [at_the_end(t, t) for t in np.linspace(2.5, 3.5, 21)]
+    lower, upper = at_the_end(2.5, 3.5)
+    assert lower < min(low for low, _ in every)
+    assert max(high for _, high in every) < -0.43 < 0 < upper
+
+
 def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
     """x' = w: v + w h about the reading at the middle, v + w (t - first) later. A swing read late is missed."""
     walk, bounds = sd.Plant([[0.0]], [[1.0]]), {"w_bound": 0.1, "v_bound": 0.3, "initial_error": 5.0}

@@ -260,13 +260,24 @@ def _columns(schedule: AnySchedule) -> tuple[str, ...]:
 def _date(zero: datetime, seconds: float, grain: int = 1) -> datetime:
     """The date so many seconds after `zero`, in UTC: clocks that are put forward or back do not count.
 
-    It is rounded to `grain` microseconds since midnight of the day of `zero`, by the clocks there.
+    It is the nearest at which the clocks there show whole multiples of `grain` microseconds since the midnight before
+    `zero`.
     """
+    place, step = zero.tzinfo, timedelta(microseconds=grain)
+    midnight = zero.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=None)
+
+    def clock(date: datetime) -> datetime:
+        return date.astimezone(place).replace(tzinfo=None)
+
     try:
-        exact, step = zero.astimezone(UTC) + timedelta(microseconds=round(seconds * 1e6)), timedelta(microseconds=grain)
-        clock = exact.astimezone(zero.tzinfo).replace(tzinfo=None)
-        over = (clock - zero.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=None)) % step
-        return exact + (step - over if 2 * over > step else -over)
+        exact = zero.astimezone(UTC) + timedelta(microseconds=round(seconds * 1e6))
+        over = (clock(exact) - midnight) % step
+        near = [exact - over, exact - over + step]
+        if clock(near[1]) - clock(near[0]) != step:  # clocks are changed in between
+            shown = [clock(exact) - over + k * step for k in range(-1, 3)]
+            near += [each.replace(tzinfo=place, fold=fold).astimezone(UTC) for each in shown for fold in (0, 1)]
+            near = [date for date in near if not (clock(date) - midnight) % step]
+        return min(near, key=lambda date: abs(date - exact))
     except OverflowError:
         raise ArgumentError(
             f"`origin` plus {seconds:.6g} s lies beyond the year 9999. Is the time unit right?"

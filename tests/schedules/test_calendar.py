@@ -1,6 +1,8 @@
 from datetime import UTC, datetime, timedelta
+from itertools import product
 from zoneinfo import ZoneInfo
 
+import numpy as np
 import pytest
 
 from sampling_design import ArgumentError, PeriodicSchedule, Schedule
@@ -208,6 +210,32 @@ def test_a_grid_of_minutes_and_hours_is_that_of_the_clocks_on_the_wall(grid, zon
     exact = [e.date for e in calendar(schedule, "2026-03-29T00:10", zone=zone)]
     moved = [a.astimezone(UTC) - b.astimezone(UTC) for a, b in zip(dates, exact, strict=True)]
     assert max(abs(m.total_seconds()) for m in moved) <= grid / 2
+
+
+CHANGES = {
+    "Europe/Berlin": ("2026-03-28", "2026-10-24"),
+    "Australia/Lord_Howe": ("2026-10-03", "2026-04-04"),
+    "America/Santiago": ("2026-09-05", "2026-04-04"),  # at midnight
+    "America/New_York": ("2026-03-07", "2026-10-31"),
+    "Asia/Kathmandu": ("2026-03-28", "2026-10-24"),
+}
+"""The days before clocks go forward, and back."""
+
+
+@pytest.mark.parametrize(("zone", "back"), few(product(CHANGES, (0, 1)), 0, 3, 4))
+def test_a_date_is_the_nearest_that_the_clocks_show_on_the_grid(zone, back):
+    """Against every minute of three days: the grid of a change of the clocks is that of what they show."""
+    place, start, rng = ZoneInfo(zone), datetime.fromisoformat(CHANGES[zone][back]), np.random.default_rng(back)
+    zero = start.replace(tzinfo=place).astimezone(UTC)
+    every = [zero + timedelta(minutes=k) for k in range(-600, 4920)]
+    shown = [each.astimezone(place).replace(tzinfo=None) - start for each in every]
+    for grid in (20, 60, 120, 180, 240, 300):
+        on_grid = [each for each, clock in zip(every, shown, strict=True) if not clock % timedelta(minutes=grid)]
+        for minutes in np.append(rng.uniform(0, 4300, 10), rng.uniform(1380, 1750, 20)):
+            schedule = Schedule([minutes], time_unit="min")
+            (entry,) = calendar(schedule, start, zone=zone, grid=60.0 * grid)
+            exact = zero + timedelta(minutes=float(minutes))
+            assert entry.date.astimezone(UTC) == min(on_grid, key=lambda each: abs(each - exact))
 
 
 def test_events_that_repeat_by_rule_lie_on_a_grid_of_minutes_too(tmp_path):

@@ -440,7 +440,7 @@ class ScheduleExplorer:
     def _design(self) -> Reply:
         count = len(self.schedule)
         wanted = self.requirement.replace(window=self.window, period=self.period)
-        if wanted.samples is None:
+        if not wanted.samples:
             wanted = wanted.replace(samples=count)
         found = design_schedule(self.plant, wanted, branches=0, budget=20.0)
         if found.schedule is None:

@@ -224,6 +224,12 @@ def test_a_design_moves_the_marks_and_is_found_again_after_saving(tmp_path):
     assert [m["t"] for m in again.marks()] == pytest.approx([m["t"] for m in designed["marks"]])
 
 
+def test_a_design_has_as_many_samples_as_lie_on_the_line_where_no_requirement_counts_them():
+    bench = ScheduleExplorer(PLANT, sd.Requirement(window=TURN, period=TURN))
+    for times in ((0.5, 2.0, 3.5, 5.0), (0.5, 2.0, 3.5, 4.5, 5.5)):
+        assert len(bench.answer({"ask": "design", "marks": marks(*times)})["marks"]) == len(times)
+
+
 def test_certificate_and_horizons_are_said_in_words():
     bench = ScheduleExplorer(
         PLANT, sd.Requirement(window=TURN, period=TURN), sd.PeriodicSchedule([TURN / 2] * 2, time_unit="s")

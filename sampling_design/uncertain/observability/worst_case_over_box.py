@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -150,9 +149,13 @@ def worst_case_over_box(
     late.require_order(family.spacing)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")
+    found = WorstCaseOverBox(
+        lower=np.inf, upper=np.inf, worst=model.values(model.start), witness=np.zeros(family.count if model.n else 0),
+        status="no states", family=family, rtol=tolerance, plants=0, plant=plant,
+        coordinates=coordinates_of(plant.nominal),
+    )  # fmt: skip
     if not model.n:
-        return _record(model, family, tolerance, "no states", 0, np.inf, _LeastSigma(np.inf, model.start, np.zeros(0)))
-
+        return found
     clock = Budget(seconds)
 
     def one(member: Plant, fine: float, left: float) -> WorstCaseSigma:
@@ -170,7 +173,7 @@ def worst_case_over_box(
         return found
 
     settled: list[BoxCells] = []
-    found = _searched(model, family, late, tolerance, clock, one, settled)
+    found = _searched(found, model, late, clock, one, settled)
     left = min(clock.left, BESIDE * max(clock.spent, LEAST_BESIDE))
     if rigorous and found.status != "interrupted":
         from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
@@ -191,28 +194,18 @@ def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, late: Timi
     return uninterrupted(worst_case_over_box(plant, family, rtol, seconds, timing_tolerance=late.plain)).lower
 
 
-class _LeastSigma(NamedTuple):
-    """The least sigma met, its plant, and when samples are planned and read."""
-
-    sigma: float
-    u: Array
-    witness: Array
-    readings: Array | None = None
-
-
 def _searched(
+    best: WorstCaseOverBox,
     model: BoxModel,
-    family: SpacedWindows,
     late: TimingTolerance,
-    rtol: float,
     budget: Budget,
     one: SigmaOfOne,
     settled: list[BoxCells],
 ) -> WorstCaseOverBox:
-    """The bracket; `settled` takes the cells that were proven."""
+    """The bracket, of which `best` is what is met so far; `settled` takes the cells that were proven."""
+    family, rtol = best.family, best.rtol
     known = dict[tuple[float, ...], tuple[float, float]]()
     wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
-    best = _LeastSigma(np.inf, model.start, np.zeros(family.count))
 
     def judged(cell: BoxCells) -> tuple[Array, Array] | None:
         nonlocal best
@@ -227,8 +220,9 @@ def _searched(
                 # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
                 known[tuple(u.tolist())] = max(found.lower, inner / (UP * float(model.unit.max()))), inner
                 if search.attain(np.array([found.upper])).size:
-                    best = _LeastSigma(found.upper, u, found.witness, found.readings)
-            if best.sigma == 0:
+                    best = replace(best, upper=found.upper, witness=found.witness, readings=found.readings)
+                    best = replace(best, worst=model.values(u))
+            if best.upper == 0:
                 return None
         least, inner = np.min([known[tuple(u.tolist())] for u in points], axis=0).tolist()
         return np.array([[least_over(model, cell, family, least, inner, late)]]), np.zeros((1, 0))
@@ -240,24 +234,8 @@ def _searched(
     search = LeastOverCells(BoxCells.whole(model.m), np.zeros((1, 1)), within(rtol), budget)
     status = search.run(judged, cut)
     settled += [*search.closed, search.cells]
-    if best.sigma == 0:
-        return _record(model, family, rtol, "unobservable", len(known), 0.0, best)
-    if status != "closed":
+    if best.upper == 0:
+        status = "unobservable"
+    elif status != "closed":
         status = "interrupted" if status == "interrupted" or budget.limit < 0 else "budget"
-    return _record(model, family, rtol, status, len(known), float(search.lower[0]), best)
-
-
-def _record(
-    model: BoxModel,
-    family: SpacedWindows,
-    rtol: float,
-    status: str,
-    judged: int,
-    lower: float,
-    best: _LeastSigma,
-) -> WorstCaseOverBox:
-    return WorstCaseOverBox(
-        lower=min(lower, best.sigma), upper=best.sigma, worst=model.values(best.u), witness=best.witness, status=status,
-        family=family, rtol=rtol, plants=judged, plant=model.plant, readings=best.readings,
-        coordinates=coordinates_of(model.plant.nominal),
-    )  # fmt: skip
+    return replace(best, lower=min(float(search.lower[0]), best.upper), status=status, plants=len(known))

@@ -86,8 +86,7 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
     try:
         found = claims.certificate(data)
     except BadFile as error:
-        sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
-        said = f"{where}: {'' if error.broken == 'digest' else 'is no interval: '}{sentence}"
+        said = error.said(where if error.broken == "digest" else f"{where}: is no interval")
         raise FileFormatError(said, where) from None
     if not isinstance(found, OfInterval):
         raise FileFormatError(

@@ -90,11 +90,9 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
     try:
         content = claims.certificate(data)
     except BadFile as error:
-        sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
         if error.broken == "digest":
-            sentence = f"{where}: {sentence}"
-            raise FileFormatError(sentence, where) from None
-        raise ArgumentError(sentence) from None
+            raise FileFormatError(error.said(where), where) from None
+        raise ArgumentError(error.said()) from None
     if isinstance(content, OfInterval):
         raise FileFormatError(
             f"{where}: holds an interval. Use Interval.read (sampling_design.accuracy.interval).", where

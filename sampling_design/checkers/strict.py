@@ -45,6 +45,10 @@ class BadFile(Exception):
         super().__init__(sentence)
         self.broken = broken
 
+    def said(self, where: str = "") -> str:
+        """The whole sentence, of the file `where`."""
+        return (f"{where}: {self}" if where else f"{self}") + "." * (not f"{self}".endswith(("?", ".")))
+
 
 def refuse(place: str, what: str) -> BadFile:
     """Return the sentence `place` `what` as an exception."""

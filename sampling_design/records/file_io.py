@@ -373,8 +373,7 @@ def from_json(text: str, where: str) -> Tree:
         _small(text)
         return strict.from_json(text)
     except strict.BadFile as error:
-        sentence = f"{where}: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
-        raise FileFormatError(sentence, where) from None
+        raise FileFormatError(error.said(where), where) from None
 
 
 def from_toml(text: str, where: str) -> Tree:
@@ -388,8 +387,7 @@ def from_toml(text: str, where: str) -> Tree:
         strict.shallow(text)
         return {key: strict.anything(value, key) for key, value in tomllib.loads(text, parse_float=strict.real).items()}
     except strict.BadFile as error:
-        sentence = f"{where}: {error}."
-        raise FileFormatError(sentence, where) from None
+        raise FileFormatError(error.said(where), where) from None
     except tomllib.TOMLDecodeError as error:
         slip = "Was the file cut off?"
         if _SEMICOLONS.search(text):
@@ -398,16 +396,13 @@ def from_toml(text: str, where: str) -> Tree:
             slip = "Numbers have commas between, and a row stands in two brackets: C = [[1.0, 0.0]]."
         raise FileFormatError(f"{where}: is not valid TOML ({error}). {slip}", where) from None
     except (RecursionError, ValueError):
-        raise _unreasonable(where) from None
+        said = f"{where}: is nested too deeply, or holds a number of thousands of digits."
+        raise FileFormatError(said, where) from None
 
 
 def _small(text: str) -> None:
     if len(text) > strict.MOST_BYTES:
         raise strict.refuse("", f"is too large: {len(text)} characters, expected at most {strict.MOST_BYTES}")
-
-
-def _unreasonable(where: str) -> FileFormatError:
-    return FileFormatError(f"{where}: is nested too deeply, or holds a number of thousands of digits.", where)
 
 
 def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
@@ -421,8 +416,7 @@ def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
     try:
         read(data, "")
     except strict.BadFile as error:
-        sentence = f"{error}."
-        raise ArgumentError(sentence) from None
+        raise ArgumentError(error.said()) from None
 
 
 def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
@@ -493,7 +487,6 @@ def usable(where: str) -> Iterator[None]:
     try:
         yield
     except strict.BadFile as error:
-        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
-        raise FileFormatError(sentence, where) from None
+        raise FileFormatError(error.said(f"{where}: cannot be used"), where) from None
     except ArgumentError as error:
         raise FileFormatError(f"{where}: cannot be used: {error}", where) from None

@@ -13,7 +13,7 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections, GapPr
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gap_table import PANELS
 from sampling_design.accuracy.sampled_system import PANEL, SampledSystem
-from sampling_design.numerics.balls import Ball, Matrix, ball, flint, matrix, precision
+from sampling_design.numerics.balls import Ball, Matrix, ball, matrix, precision, stacked
 from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
@@ -62,10 +62,6 @@ def _larger(a: Ball, b: Ball) -> Ball:
     return a.max(b).upper()
 
 
-def _table(rows: list[list[Ball]], columns: int) -> Matrix:
-    return flint().arb_mat(rows) if rows and columns else matrix(np.zeros((len(rows), columns)))
-
-
 class BallSystem:
     """An endless system in balls, in units of D: flows, panels, and the filter's reach, proven anew."""
 
@@ -74,12 +70,12 @@ class BallSystem:
         plant, n = system.plant, system.D.size
         self.n, self.q = n, plant.n_disturbances
         D, w = [ball(d) for d in system.D], [ball(x) for x in system.bounds.w]
-        self.A = _table([[ball(plant.A[i, j]) * D[j] / D[i] for j in range(n)] for i in range(n)], n)
-        self.G = _table([[ball(plant.G[i, j]) * w[j] / D[i] for j in range(self.q)] for i in range(n)], self.q)
+        self.A = stacked([[ball(plant.A[i, j]) * D[j] / D[i] for j in range(n)] for i in range(n)], n)
+        self.G = stacked([[ball(plant.G[i, j]) * w[j] / D[i] for j in range(self.q)] for i in range(n)], self.q)
         self.D, self.size = D, _norm(_entries(self.A))
         self.Lt = [matrix(L).transpose() for L in system.L]
         self.Ct = [
-            _table([[ball(plant.C[i, k]) * D[k] / ball(z) for k in range(n)] for i, z in pairs], n).transpose()
+            stacked([[ball(plant.C[i, k]) * D[k] / ball(z) for k in range(n)] for i, z in pairs], n).transpose()
             for pairs in ([*zip(s.outputs, s.size, strict=True)] for s in system.samples)
         ]
         self._flows: dict[tuple[float, int], tuple[Matrix, _CostatePanels]] = {}
@@ -98,7 +94,7 @@ class BallSystem:
                 flows += flow.transpose().tolist()
                 first, second, flow = E * first, E * second, E * flow
             third = (_norm(_entries(square * self.A * self.G)) * (self.size * step).exp()).upper()
-            panels = _CostatePanels(step, count, _table(rows + bends + flows, self.n), third)
+            panels = _CostatePanels(step, count, stacked(rows + bends + flows, self.n), third)
             self._flows[length, count] = (self.A * ball(length)).exp().transpose(), panels
         return self._flows[length, count]
 
@@ -137,7 +133,7 @@ class BallSystem:
         """The costate before sample j and what its gains cost."""
         if not gains:
             return g, ball(0.0)
-        return g - self.Ct[j] * _table([[x] for x in gains], 1), self.noise(j, gains)
+        return g - self.Ct[j] * stacked([[x] for x in gains], 1), self.noise(j, gains)
 
     def prove_reach(self) -> bool:
         """Whether R_j >= cost_j + |rest_j|'R_k with contracting rests holds for reaches hardly raised."""
@@ -208,7 +204,7 @@ class BallSystem:
         length = self.system.gaps[j].length
         count = int(np.clip(np.ceil(float(np.linalg.norm(self.system.A, 2)) * length / FINENESS), *GRID))
         _, panels = self.over(length, count)
-        c = _table([[ball(x) * d] for x, d in zip(row, self.D, strict=True)], 1)
+        c = stacked([[ball(x) * d] for x, d in zip(row, self.D, strict=True)], 1)
         above, sups = self.integrals(c, panels)
         E, At = (self.A * panels.step).exp().transpose(), self.A.transpose()
         g, mus, bends, slopes, thirds = c, [], [], [], []
@@ -283,13 +279,13 @@ class _BallTrajectory:
         A = [[ball(plant.A[i, j]) * D[j] / D[i] for j in range(n)] for i in range(n)]
         G = [[ball(plant.G[i, j]) * ball(bounds.w[j]) / D[i] for j in range(q)] for i in range(n)]
         rows = [[*row, *more] for row, more in zip(A, G, strict=True)]
-        self.joint = _table(rows + [[ball(0.0)] * (n + q)] * q, n + q)
+        self.joint = stacked(rows + [[ball(0.0)] * (n + q)] * q, n + q)
         self.ends = np.searchsorted(witness.edges, [*witness.samples, witness.edges[-1]])
         self.flows: dict[float, list[list[Ball]]] = {}
 
     def state(self, k: int) -> Matrix:
         """z at sample k."""
-        return _table([[ball(z) / d] for z, d in zip(self.witness.states[k], self.D, strict=True)], 1)
+        return stacked([[ball(z) / d] for z, d in zip(self.witness.states[k], self.D, strict=True)], 1)
 
     def gap(self, k: int) -> tuple[Ball, Ball] | None:
         """By how much sample k and the gap behind it exceed their bounds, and the row at its end; None: not decided."""
@@ -302,13 +298,13 @@ class _BallTrajectory:
             if end - begin not in self.flows:
                 self.flows[end - begin] = (self.joint * ball(end - begin)).exp().tolist()[: self.n]
             rows = self.flows[end - begin]
-            blocks.append(ahead * _table([row[self.n :] for row in rows], self.q))
-            ahead = ahead * _table([row[: self.n] for row in rows], self.n)
+            blocks.append(ahead * stacked([row[self.n :] for row in rows], self.q))
+            ahead = ahead * stacked([row[: self.n] for row in rows], self.n)
         blocks.reverse()
         cells = [[_over(u, size) for u, size in zip(row, self.bounds.w, strict=True)] for row in witness.w[a:b]]
         state = ahead * self.state(k)
         for block, u in zip(blocks, cells, strict=True):
-            state = state + block * _table([[one] for one in u], 1)
+            state = state + block * stacked([[one] for one in u], 1)
         if k + 1 < len(witness.states):
             gram = matrix(np.zeros((self.n, self.n)))
             for block in blocks:

@@ -17,7 +17,6 @@ from sampling_design.numerics.balls import (
     Ball,
     Matrix,
     ball,
-    flint,
     floats,
     frobenius,
     identity,
@@ -25,6 +24,7 @@ from sampling_design.numerics.balls import (
     matrix,
     positive_part,
     spectral,
+    stacked,
 )
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.arrays import Array
@@ -65,13 +65,13 @@ class DecoupledCoordinates:
         rows = (inverse * A * basis).tolist()
         own, coupled = [], ball(0.0)
         for i, j in ((slice(0, fast), slice(fast, None)), (slice(fast, None), slice(0, fast))):
-            part = flint().arb_mat([row[i] for row in rows[i]])
+            part = stacked([row[i] for row in rows[i]])
             own.append(largest((part + part.transpose()) * ball(0.5)))
-            coupled += frobenius(flint().arb_mat([row[j] for row in rows[i]]))
+            coupled += frobenius(stacked([row[j] for row in rows[i]]))
         self.rate = (max(*own, ball(0.0)) + coupled / ball(FLOOR).sqrt()).upper()
         parts, across = (slice(0, fast), slice(fast, None)), basis.transpose().tolist()
-        heads = [flint().arb_mat(inverse.tolist()[part]) for part in parts]
-        spans = [flint().arb_mat(across[part]) for part in parts]
+        heads = [stacked(inverse.tolist()[part]) for part in parts]
+        spans = [stacked(across[part]) for part in parts]
         self.sizes = [head.transpose() * head * ball(2.0) for head in heads]  # of a part: trace(N sizes)
         self.spans = [span.transpose() * span for span in spans]
 
@@ -158,17 +158,11 @@ class BallFlow:
         n = self.n
         if self.undriven:
             return (self.A * h).exp() if n else self.A, self.S
-        block = flint().arb_mat(2 * n, 2 * n)
-        for i in range(n):
-            for j in range(n):
-                block[i, j], block[i, n + j], block[n + i, n + j] = (
-                    -self.A[i, j] * h,
-                    self.S[i, j] * h,
-                    self.A[j, i] * h,
-                )
-        E = block.exp().tolist()
-        F = flint().arb_mat([row[n:] for row in E[n:]]).transpose()
-        return F, F * flint().arb_mat([row[n:] for row in E[:n]])
+        first, noise, last = ((M * h).tolist() for M in (-self.A, self.S, self.At))
+        rows = [[*a, *s] for a, s in zip(first, noise, strict=True)] + [[*[ball(0.0)] * n, *a] for a in last]
+        E = stacked(rows).exp().tolist()
+        F = stacked([row[n:] for row in E[n:]]).transpose()
+        return F, F * stacked([row[n:] for row in E[:n]])
 
     def step(self, Y: Matrix, duration: Ball) -> Matrix:
         """Return Y after `duration`."""

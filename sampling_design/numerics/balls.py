@@ -8,7 +8,7 @@ is proven by the pivots of L D L' in balls.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from importlib import import_module
@@ -74,6 +74,12 @@ def matrix(X: npt.ArrayLike) -> Matrix:
     return made
 
 
+def stacked(rows: Sequence[Sequence[Ball]], columns: int = 0) -> Matrix:
+    """Return rows of balls as a matrix; `columns` says how many there are where there is no row."""
+    made: Matrix = flint().arb_mat(rows) if rows and rows[0] else matrix(np.zeros((len(rows), columns)))
+    return made
+
+
 def symmetric(X: npt.ArrayLike) -> Matrix:
     """Return the symmetric part of X, all that the form x'Xx knows of it, without rounding."""
     M = matrix(X)
@@ -123,8 +129,7 @@ def cholesky(M: Matrix) -> Matrix | None:
             return None
         above = [[*row, *[flint().arb(0)] * last.nrows()] for row in first.tolist()]
         below = zip(across.transpose().tolist(), last.tolist(), strict=True)
-        whole: Matrix = flint().arb_mat([*above, *([*a, *b] for a, b in below)])
-        return whole
+        return stacked([*above, *([*a, *b] for a, b in below)])
     rows, L = M.tolist(), [[flint().arb(0)] * n for _ in range(n)]
     for k in range(n):
         if not rows[k][k] > 0:
@@ -135,14 +140,14 @@ def cholesky(M: Matrix) -> Matrix | None:
         for i in range(k + 1, n):
             for j in range(k + 1, i + 1):
                 rows[i][j] -= L[i][k] * L[j][k]
-    return flint().arb_mat(L) if n else matrix(np.zeros((0, 0)))
+    return stacked(L)
 
 
 def _quarters(M: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     """The blocks of a symmetric matrix, cut in the middle: first corner, the side to its right, last corner."""
     rows, k = M.tolist(), M.nrows() // 2
     parts = ([row[:k] for row in rows[:k]], [row[k:] for row in rows[:k]], [row[k:] for row in rows[k:]])
-    first, side, last = (flint().arb_mat(part) for part in parts)
+    first, side, last = map(stacked, parts)
     return first, side, last
 
 

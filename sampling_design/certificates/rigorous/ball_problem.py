@@ -24,6 +24,7 @@ from sampling_design.numerics.balls import (
     floats,
     identity,
     matrix,
+    stacked,
     symmetric,
 )
 from sampling_design.records.arrays import Array, Mask
@@ -48,8 +49,7 @@ def positive_definite(name: str, M: Matrix) -> None:
 def in_units(form: Matrix, sizes: list[Ball]) -> Matrix:
     """A form in units in which entries of the size of `sizes` on its diagonal become 1."""
     roots, n = [(size if size > 0 else ball(1.0)).sqrt() for size in sizes], len(sizes)
-    made: Matrix = flint().arb_mat([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
-    return made
+    return stacked([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
 
 
 def proven_slack(M: Matrix, shares: tuple[float, ...]) -> float | None:
@@ -69,7 +69,7 @@ def dissipation(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, rate
     for i in range(n):
         drifts = sum((abs(A[j, i]) * abs(P[j, i]) for j in range(n)), ball(0.0))
         sizes.append(abs(slope[i, i]) + 2 * drifts + abs(rate * P[i, i]))
-    return flint().arb_mat(rows), [*sizes, *(Qw[k, k] for k in range(q))]
+    return stacked(rows), [*sizes, *(Qw[k, k] for k in range(q))]
 
 
 class BallWeights:
@@ -101,8 +101,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
     ]
     drive = [[exact(*x.as_integer_ratio()) for x in column] for column in G.T.tolist()]
     product = exact_inner(drive, form, [[exact(0)] * n for _ in range(n)])
-    made: Matrix = flint().arb_mat([list(map(flint().arb, row)) for row in product]) if n else matrix(np.zeros((0, 0)))
-    return made
+    return stacked([list(map(flint().arb, row)) for row in product])
 
 
 class BallTimes:
@@ -147,8 +146,8 @@ class BallFrame:
         self.rows, self.noises = [], []
         for measured in patterns:
             at = np.flatnonzero(measured).tolist()
-            self.rows.append(flint().arb_mat([turned[j] for j in at]))
-            self.noises.append(flint().arb_mat([[weights.V[i, j] for j in at] for i in at]))
+            self.rows.append(stacked([turned[j] for j in at]))
+            self.noises.append(stacked([[weights.V[i, j] for j in at] for i in at]))
         self.identity = identity(self.n)
 
     def gain(self, Y: Matrix, i: int) -> Matrix:

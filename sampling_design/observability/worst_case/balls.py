@@ -25,7 +25,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sampling_design.numerics.ball_flow import BallFlow
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, matrix, rational
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, matrix, rational, stacked
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.balls import SHAVES, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows, output_groups
@@ -117,7 +117,7 @@ class WorstCase:
             rows.append(rows[-1] * self.flow.A)
         early, after = (Fraction(side[output if late.apart else 0]) for side in (late.early, late.late))
         lag = max(map(Fraction, late.early)) + (after - early) / 2
-        return flint().arb_mat([row for part in rows for row in part.tolist()]), lag, (early + after) / 2
+        return stacked([row for part in rows for row in part.tolist()]), lag, (early + after) / 2
 
     def moves(self, cells: int, radius: Fraction) -> int:
         """Cells of the moves that go with a grid: two at first, none finer than the grid's; none where none moves."""
@@ -203,7 +203,7 @@ class WorstCase:
     def only(self, mu: float) -> bool:
         """The same where one schedule alone is admissible."""
         total = matrix(np.zeros((self.n, self.n)))
-        first = flint().arb_mat(self.groups[0][0].tolist()[: self.p])
+        first = stacked(self.groups[0][0].tolist()[: self.p])
         for offset in self.offsets:
             at = first * self.flow.over(rational(offset))[0]
             total = total + at.transpose() * at

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, floats, identity, matrix, symmetric
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 from sampling_design.uncertain.box.expansion import BALLS, CellNorms, bases
@@ -89,7 +89,7 @@ class BallBox:
         rate = largest_over(turning, W, float(norms[0]))
         if rate is None:
             return None
-        m, zero = self.m, flint().arb(0)
+        m, zero = self.m, ball(0.0)
         moved, output_moved = sum(norms[1 : m + 1], zero), sum(norms[m + 2 : 2 * m + 2], zero)
         found = CellNorms(rate, norms[0], moved.upper(), norms[m + 1], output_moved.upper(), BALLS)
         return W, found, norms[-1]
@@ -101,8 +101,7 @@ def largest_over(form: Matrix, W: Matrix, size: float = 0.0) -> Ball | None:
     `size` is what differences of s are small beside.
     """
     if all(x == 0 for x in form.entries()):
-        made: Ball = flint().arb(0)
-        return made
+        return ball(0.0)
     try:
         root = np.linalg.inv(np.linalg.cholesky(floats(W)))
         guess = float(np.linalg.eigvalsh(symmetrise(root @ floats(form) @ root.T))[-1])

@@ -20,7 +20,7 @@ from sampling_design.checkers.inclusion import FLOW, SUBJECT, Flow, broken
 from sampling_design.checkers.inclusion_file import Inclusion, moved
 from sampling_design.checkers.members import JUMP
 from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, floats, matrix, stacked, symmetric
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, split_columns
@@ -135,7 +135,7 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
             own = [ball(weights[k]) if j == k else ball(0.0) for j in range(m)]
             rows.append([*(-side[i] if i < n else ball(0.0) for i in range(n + q)), *own])
         try:
-            slack = min(slack, decided(FLOW, flint().arb_mat(rows), [*sizes, *map(ball, weights)], tau))
+            slack = min(slack, decided(FLOW, stacked(rows), [*sizes, *map(ball, weights)], tau))
         except Refused as error:
             raise multipliers_fail(c, error) from None
     return slack
@@ -174,7 +174,7 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
             def forms(
                 C: Matrix, B: Matrix, Y: Matrix = Y, every: Jumps = every, rows: list[int] = rows
             ) -> Iterator[Matrix]:
-                kept, about = (flint().arb_mat([M.tolist()[k] for k in rows]) for M in (C, B))
+                kept, about = (stacked([M.tolist()[k] for k in rows]) for M in (C, B))
                 information = tangent(kept, about, Y)
                 return (later - base + information for later, base, _ in every)
 
@@ -191,8 +191,7 @@ def of_some(X: Matrix, measured: Mask) -> Matrix:
     rows = X.tolist()
 
     def part(left: list[int], right: list[int]) -> Matrix:
-        made: Matrix = flint().arb_mat([[rows[i][j] for j in right] for i in left])
-        return made
+        return stacked([[rows[i][j] for j in right] for i in left])
 
     return part(own, own) - part(own, other) * part(other, other).solve(part(other, own))
 

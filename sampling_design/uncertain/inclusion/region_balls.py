@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.programs import Instruction
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, stacked
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -28,10 +28,8 @@ FAR = 1e9  # half the width of what stands for an unbounded number: sine and cos
 
 def split_columns(M: Matrix, n: int) -> tuple[Matrix, Matrix]:
     """The first n columns and the others."""
-    rows, q = M.tolist(), M.ncols() - n
-    empty = flint().arb_mat(len(rows), 0, [])
-    A = flint().arb_mat([row[:n] for row in rows])
-    return A, flint().arb_mat([row[n:] for row in rows]) if q else empty
+    rows = M.tolist()
+    return stacked([row[:n] for row in rows]), stacked([row[n:] for row in rows])
 
 
 def mid(M: Matrix) -> Matrix:
@@ -206,8 +204,7 @@ class OutputAssembly:
                 pair = [(self.done[k][0], made[k]) for k in each.places]
                 made.append(joined(each.word, pair[0], pair[1])[1])
         zero = ball(0.0)
-        result: Matrix = flint().arb_mat([[made[k].get(column, zero) for column in self.columns] for k in self.outputs])
-        return result
+        return stacked([[made[k].get(column, zero) for column in self.columns] for k in self.outputs])
 
     def widths(self) -> dict[tuple[int, tuple[str, int]], Array]:
         """By how much each slope moves the derivatives: its radius times what one of it adds."""

@@ -18,7 +18,7 @@ from itertools import product
 
 import numpy as np
 
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, rational
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, floats, identity, matrix, rational, stacked
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.sigma_bracket import ProvenSigma
@@ -192,17 +192,17 @@ class WindowCells:
         block = _beside([cell.A, *cell.parts_A])
         for k in range(1, m + 1):
             block += _beside([zero] * k + [cell.A] + [zero] * (m - k))
-        B, rows = flint().arb_mat(block), flint().arb_mat(_beside([cell.C, *cell.parts_C]))
+        B, rows = stacked(block), stacked(_beside([cell.C, *cell.parts_C]))
         total, at = matrix(np.zeros((len(block), len(block)))), middle
         flows: dict[Fraction, Matrix] = {}
         for i, t in enumerate(times):
             if t - at not in flows:
                 flows[t - at] = (B * rational(t - at)).exp()
             rows, at = rows * flows[t - at], t
-            seen = flint().arb_mat([row for j, row in enumerate(rows.tolist()) if mask is None or mask[i, j]])
+            seen = stacked([row for j, row in enumerate(rows.tolist()) if mask is None or mask[i, j]])
             total = total + seen.transpose() * seen
         upper = total.tolist()[:n]
-        parts = [flint().arb_mat([row[k * n : (k + 1) * n] for row in upper]) for k in range(m + 1)]
+        parts = [stacked([row[k * n : (k + 1) * n] for row in upper]) for k in range(m + 1)]
         return parts[0], [X + X.transpose() for X in parts[1:]]
 
 
@@ -213,7 +213,7 @@ def _beside(blocks: list[Matrix]) -> list[list[Ball]]:
 
 def _rest(norms: CellNorms[Ball], after: list[Ball]) -> Ball:
     """At least |X z|^2 over z'Wz: what the rows of all samples are beyond the first order."""
-    total = flint().arb(0)
+    total = ball(0.0)
     for r in after:
         _, row = norms.rows(abs(r), norms.rate if r >= 0 else norms.size)
         total += row * row

@@ -28,7 +28,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.numerics.balls import Ball, ball, flint, frobenius, identity, largest, matrix, positive_part
+from sampling_design.numerics.balls import Ball, ball, frobenius, identity, largest, matrix, positive_part
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.balls import SHAVES, nearest_proven
@@ -169,7 +169,7 @@ def _needed(
 ) -> float:
     """What sigma of the plants by which a cell is judged must be for sigma >= mu all over it; infinity if unknown."""
     least, points = np.inf, judged[0]
-    cell, off_A, off_C = box.cell(one.u[0], one.half[0]), flint().arb(0), flint().arb(0)
+    cell, off_A, off_C = box.cell(one.u[0], one.half[0]), ball(0.0), ball(0.0)
     for u, plant in zip(*judged, strict=True):
         exact, (A, C) = box.cell(u, 0 * u), box.balanced(matrix(plant.A), matrix(plant.C))
         off_A, off_C = off_A.max(frobenius(exact.A - A)), off_C.max(frobenius(exact.C - C))
@@ -195,7 +195,7 @@ def _pulse_sizes(
         return None
     lost = replace(norms, moved=rounded.sqrt(), output_moved=output_moved.sqrt())
     both = replace(norms, moved=norms.moved + lost.moved, output_moved=norms.output_moved + lost.output_moved)
-    first, second, rate = flint().arb(0), flint().arb(0), positive_part(norms.rate)
+    first, second, rate = ball(0.0), ball(0.0), positive_part(norms.rate)
     for j in range(family.count):
         t = positive_part(ball(family.window) - ball(family.spacing) * j) + ball(max(late.early)) + ball(max(late.late))
         first += norms.rows(t, rate)[0] ** 2

@@ -87,41 +87,22 @@ def terms_of(problem: DesignProblem, zones: Array, windows: Index) -> Measuremen
     n, p = problem.plant.n_states, problem.plant.n_outputs
     measurable = np.hstack([measurable.astype(float), np.zeros((k, max(n - p, 0)))])
     state = np.append(np.ones(n), np.zeros(max(p - n, 0)))
-    window, first, second, lag, ahead, weights, own = [], [], [], [], [], [], []
+    parts = []
     for m, (j, ends, right, anchor) in enumerate(windows.tolist()):
-        at = middle[anchor % k] + P * (anchor // k)
-        inside_window = _samples_within(problem, zones, j, ends, right)
-        for index in inside_window.tolist():
-            window.append(m)
-            first.append(index % k)
-            second.append(anchor % k)
-            lag.append(middle[index % k] + P * (index // k) - at)
-            ahead.append(index - anchor)
-            weights.append(measurable[index % k])
-            own.append(False)
-        window.append(m)
-        first.append(j)
-        second.append(anchor % k)
-        lag.append(middle[j] - (problem.window if ends else 0.0) - at)
-        ahead.append(0)
-        weights.append(state)
-        own.append(True)
-    i, a = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
-    reach = np.where(i == a, 0.0, half[i] + half[a])
-    mid, order = np.array(lag), np.array(ahead) * problem.spacing
+        index = np.append(_samples_within(problem, zones, j, ends, right), j)  # the window's own state comes last
+        own = np.arange(index.size) == index.size - 1
+        at, begins = middle[anchor % k] + P * (anchor // k), problem.window * ends * own
+        lag, ahead = middle[index % k] + P * (index // k) - begins - at, np.where(own, 0, index - anchor)
+        weights = np.where(own[:, None], state, measurable[index % k])
+        parts.append((np.full(index.size, m), index % k, np.full(index.size, anchor % k), lag, ahead, weights, own))
+    window, i, a, mid, ahead, weights, own = map(np.concatenate, zip(*parts, strict=True))
+    reach, order = np.where(i == a, 0.0, half[i] + half[a]), ahead * problem.spacing
     low = np.where(order > 0, np.maximum(mid - reach, order), mid - reach)
     high = np.where(order < 0, np.minimum(mid + reach, order), mid + reach)
     return MeasurementTerms(
-        window=np.array(window),
-        first=i,
-        second=a,
-        lag=mid,
-        reach=reach,
-        low=low,
-        high=np.maximum(low, high),
-        weights=np.array(weights),
-        own=np.array(own),
-    )
+        window=window, first=i, second=a, lag=mid, reach=reach, low=low, high=np.maximum(low, high), weights=weights,
+        own=own,
+    )  # fmt: skip
 
 
 def _can_measure(problem: DesignProblem, zones: Array) -> Mask:

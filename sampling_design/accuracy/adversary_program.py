@@ -9,6 +9,7 @@ are evaluated anew: `upper` for any gains and all real times, `lower` for an adv
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -75,43 +76,40 @@ class ConeWindow:
     ):
         self.system, self.nodes, self.start = system, nodes, start
         self._tolerance, self._lasting = tolerance, lasting
+        self._gaps, self._samples = [system.gap(j) for j in nodes[:-1]], [system.samples[j] for j in nodes]
         self._stages = self._staged()
         self._built = False
         if self._stages is None:
             self._build()
 
+    def _moved(self) -> list[Array]:
+        """What w on the cells of each gap adds to z at its end."""
+        return [np.swapaxes(gap.cells, 0, 1).reshape(self.system.D.size, -1) for gap in self._gaps]
+
     def _staged(self) -> StageProgram | None:
         """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
-        system, start = self.system, self.start
-        gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
-        if not boxed(system, self.nodes) or not gaps or self._lasting is not None:
+        if not boxed(self.system, self.nodes) or not self._gaps or self._lasting is not None:
             return None
-        fits, S = start.staged()
-        if not fits:
-            return None
-        n = system.D.size
-        B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
-        return StageProgram([gap.F for gap in gaps], B, [s.H for s in samples], S)
+        fits, S = self.start.staged()
+        F, H = [gap.F for gap in self._gaps], [s.H for s in self._samples]
+        return StageProgram(F, self._moved(), H, S) if fits else None
 
     def _build(self) -> None:
         system, n, q = self.system, self.system.D.size, self.system.G.shape[1]
         K = len(self.nodes)
         self._built = True
-        gaps, samples = [system.gap(j) for j in self.nodes[:-1]], [system.samples[j] for j in self.nodes]
-        B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
+        B, samples, lasting = self._moved(), self._samples, self._lasting
         self._w_at = K * n + np.concatenate([[0], np.cumsum([own.shape[1] for own in B])]).astype(int)
-        before, lasting = int(self._w_at[-1]), self._lasting
+        before = int(self._w_at[-1])
         table = ConeTable(before + (0 if lasting is None else lasting.columns))
-        F = np.array([gap.F for gap in gaps]).reshape(-1, n, n)
+        F = np.array([gap.F for gap in self._gaps]).reshape(-1, n, n)
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, K * n)
         self._exact_at = [table.add(np.zeros(int(s.exact.sum())), (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
         if lasting is not None:
             lasting.begin(table, before, np.linalg.inv(system.L[self.nodes[0]]) / system.D)
         table.end("zero")
-        if lasting is None:
-            self.start.pose(table, ball=False)
-        else:
-            lasting.pose(table, before, ball=False)
+        pose = partial(self.start.pose, table) if lasting is None else partial(lasting.pose, table, before)
+        pose(ball=False)
         noisy = [(k * n, s.H[~s.exact]) for k, s in enumerate(samples)]
         each = [(at, H, system.bounds.v_ball and len(H) > 1) for at, H in noisy]
         self._box_at = [-1 if r else table.box(at, H, np.ones(len(H))) for at, H, r in each]
@@ -119,10 +117,7 @@ class ConeWindow:
             table.unit_box(K * n, before - K * n)
         table.end("nonnegative")
         self._ball_at = [table.ball(at, H) if r else -1 for at, H, r in each]
-        if lasting is None:
-            self.start.pose(table, ball=True)
-        else:
-            lasting.pose(table, before, ball=True)
+        pose(ball=True)
         if system.bounds.w_ball and q:
             table.unit_balls(K * n, q, (before - K * n) // q)
         self._columns = table.columns

@@ -103,6 +103,7 @@ class RecordProgram:
         self.H = readings.H * table.D
         self.infeasible = False
         self._aim = len(readings.times) - 1  # the time of the row that was asked for last
+        self._levels: dict[int, RecordCones] = {}
         self._multiples: dict[int, float] = {}
         self._run_back: tuple[tuple[bytes, int], Array] | None = None
 
@@ -172,24 +173,12 @@ class RecordProgram:
         least = math.sqrt(LEAST * roots.shape[1])
         return np.asarray(size[:, :, None] * vectors * np.maximum(values, least)[:, None, :])
 
-    @cached_property
-    def _levels(self) -> dict[int, RecordCones]:
-        return {}
-
     def posed(self, level: int = 0) -> RecordCones:
         """Return the program with the cells of a level."""
         if level not in self._levels:
-            cells = [gap.cells(level) for gap in self.gaps]
+            cells, tolerance = [gap.cells(level) for gap in self.gaps], TOLERANCE[min(level, LEVELS - 1)]
             self._levels[level] = RecordCones(
-                self.readings,
-                self._near,
-                self.F,
-                cells,
-                self.table.D,
-                self.L,
-                self.H,
-                self.unit,
-                tolerance=TOLERANCE[min(level, LEVELS - 1)],
+                self.readings, self._near, self.F, cells, self.table.D, self.L, self.H, self.unit, tolerance=tolerance
             )
         return self._levels[level]
 

@@ -78,28 +78,20 @@ class DiscretePlant:
         """Rows of x as rows of z."""
         return np.asarray(rows @ self.T)
 
-    @cached_property
-    def _unit(self) -> Array:
-        """[F, Gamma] of one step."""
-        return self._joint(self.step)
-
-    def _joint(self, length: float) -> Array:
-        return np.asarray(forced_flow(self.A, self.G, [length])[0])
-
     @property
     def F(self) -> Array:
         """Of one step."""
-        return self._unit[:, : self.n]
+        return self.flow(1)[:, : self.n]
 
     @property
     def Gamma(self) -> Array:
         """Of one step."""
-        return self._unit[:, self.n :]
+        return self.flow(1)[:, self.n :]
 
     def flow(self, steps: int) -> Array:
         """[F, Gamma] of so many steps with constant w."""
         if steps not in self._flows:
-            self._flows[steps] = self._joint(steps * self.step)
+            self._flows[steps] = np.asarray(forced_flow(self.A, self.G, [steps * self.step])[0])
         return self._flows[steps]
 
     def gap(self, steps: int) -> tuple[Array, Array, list[int]]:

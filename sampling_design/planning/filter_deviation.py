@@ -61,9 +61,8 @@ class GridFilter:
 
     def variances(self, chosen: Mask) -> tuple[Array, Array]:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
-        n, (B, M, p) = self.discrete.n, chosen.shape
+        n, (B, M, _), read = self.discrete.n, chosen.shape, np.any(chosen, axis=(0, 2)).tolist()
         P, lost, periods = self._from_sample_to_sample(chosen)
-        read = [[(j, chosen[:, i, j]) for j in range(p) if chosen[:, i, j].any()] for i in range(M)]
         before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
         last = np.full((B, len(self.rows)), np.inf)
         for _ in range(periods, PERIODS):
@@ -71,10 +70,7 @@ class GridFilter:
             for i in range(M):
                 P = propagate(P, self.F, self.Q)
                 before[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows)
-                for j, mask in read[i]:
-                    h = self.S[j]
-                    Ph = P @ h
-                    P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
+                P = self.measured(P, chosen[:, i]) if read[i] else P
                 after[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows) if read[i] else before[i]
                 far = np.abs(P).max(axis=(1, 2)) > BEYOND
                 if far.any():
@@ -155,7 +151,8 @@ class GridFilter:
 
     def measured(self, P: Array, read: Mask) -> Array:
         """Covariances (B, n, n) after samples that `read` (B, p)."""
-        for h, mask in zip(self.S, read.T, strict=True):
+        for j in np.flatnonzero(read.any(axis=0)).tolist():
+            h, mask = self.S[j], read[:, j]
             Ph = P @ h
             P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
         return P

@@ -340,18 +340,15 @@ def _noisier_system(
             if key not in plan.oracle.gaps:
                 plan.oracle.gaps[key] = make_gap(table, h, L[k], L[k + 1], flows[k][0])
             made.append(plan.oracle.gaps[key])
+    followed = () if sequence.begins else sequence.clock_times[: sequence.first].tolist()
+    before = [sequence.wider * own.reach[phase_of(plan.schedule, t)] for t in followed]
+    known, initial = own.known, plan.problem.initial
     if sequence.begins:
-        initial = plan.problem.initial
-        start = initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR)
+        known, start = initial.exact, initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR)
         start = _limited(start, np.linalg.solve(L[0], own.L[0]), own) if limited else start
-        system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
-        system = replace(system, known=initial.exact)
-        return system, finite_directions(system)
-    before = [
-        sequence.wider * own.reach[phase_of(plan.schedule, float(t))] for t in sequence.clock_times[: sequence.first]
-    ]
-    start = InitialSet.box(np.maximum(before[0], LEAST * before[0].max(initial=1.0)))
-    system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
+    else:
+        start = InitialSet.box(np.maximum(before[0], LEAST * before[0].max(initial=1.0)))
+    system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0, known=known)
     return system, finite_directions(system, before)
 
 

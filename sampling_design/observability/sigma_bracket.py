@@ -13,7 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, PlainRecord, Record, above, below, short
+from sampling_design.records.record import PlainRecord, above, below, short
 from sampling_design.schedules.jitter import TimingTolerance
 
 UNSETTLED = ("budget", "interrupted", "rounding", "units", "timing", "too many states", "sampled")
@@ -46,7 +46,7 @@ class ProvenSigma(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class SigmaDeviations(Record):
+class SigmaDeviations(PlainRecord):
     """Proven sigma of schedules that are not kept to the letter; of functions of time `sampled`, and nothing is proven.
 
     Attributes
@@ -79,18 +79,10 @@ class SigmaDeviations(Record):
     in_sigma: bool = False
     sampled: bool = False
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
-            "tolerance": self.tolerance.plain,
-            "in_sigma": self.in_sigma,
-            "late": self.late,
-            "late_wider": self.late_wider,
-            "lost": self.lost,
-            "lost_sample": self.lost_sample,
-            "time_unit": self.time_unit,
-            **({"strength": "sampled"} if self.sampled else {}),
-        }
+    _plain = "tolerance:tolerance.plain in_sigma late late_wider lost lost_sample time_unit strength:_strength?"
+
+    def _strength(self) -> str | None:
+        return "sampled" if self.sampled else None
 
     def _rows(self) -> list[tuple[str, str]]:
         wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"

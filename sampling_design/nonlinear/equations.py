@@ -83,7 +83,7 @@ class PlantEquations(Record):
         for label, function, arguments, size in (
             ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
             ("measurement", self.measurement, (x, u, v), self.sizes["outputs"]),
-            ("limits", _no_limits if self.limits is None else self.limits, (x, u), None),
+            ("limits", (lambda *_: []) if self.limits is None else self.limits, (x, u), None),
         ):
             if not callable(function):
                 raise ArgumentError(f"`{label}` must be a function, got {checks.described(function)}.")
@@ -363,11 +363,6 @@ class PlantEquations(Record):
         """Say what the plant is, in words."""
         n, p, q = (counted(self.sizes[f"{what}s"], what) for what in ("state", "output", "disturbance"))
         return f"{self.name or 'A nonlinear plant'} with {n}, {p} and {q}; time in {self.time_unit}."
-
-
-def _no_limits(*arguments: SX) -> list[SX]:
-    """No g at all."""
-    return []
 
 
 _NEWTON_STEPS = 100  # a steady state that takes more has none near

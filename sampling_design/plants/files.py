@@ -114,7 +114,7 @@ def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: st
     except FileFormatError:
         raise
     except ArgumentError as error:
-        raise _located(where, error) from None
+        raise FileFormatError(f"{where}: {error}", where) from None
 
 
 def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
@@ -154,11 +154,6 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
 def _exactly(data: Mapping[str, Any]) -> None:
     """Refuse numbers that are booleans or texts, and whatever else the plant's grammar does not allow."""
     file_io.exactly(PLANT, {key: value for key, value in data.items() if key != "time_unit"})
-
-
-def _located(where: str, error: ArgumentError) -> FileFormatError:
-    """The same sentence, with the file in front."""
-    return FileFormatError(f"{where}: {error}", where)
 
 
 def _agreed_unit(in_file: object, given: str | None) -> str:
@@ -208,15 +203,10 @@ def _as_toml(tree: Tree) -> bytes:
 
     head = {key: value for key, value in tree.items() if not is_table(value)}
     tables = {key: value for key, value in tree.items() if is_table(value) and key != "matrices"}
-    matrices = "".join(_toml_matrix(key, rows) for key, rows in tree["matrices"].items())
-    text = f"{tomli_w.dumps(head)}\n[matrices]\n{matrices}\n{tomli_w.dumps(tables)}"
-    return text.encode("utf-8")
-
-
-def _toml_matrix(key: str, rows: list[list[float]]) -> str:
-    """One row per line (the TOML library would spend a line on each number)."""
-    lines = "".join(f"    {row!r},\n" for row in rows)
-    return f"{key} = [\n{lines}]\n"
+    # one row per line: the TOML library would spend a line on each number
+    lines = {key: "".join(f"    {row!r},\n" for row in rows) for key, rows in tree["matrices"].items()}
+    matrices = "".join(f"{key} = [\n{rows}]\n" for key, rows in lines.items())
+    return f"{tomli_w.dumps(head)}\n[matrices]\n{matrices}\n{tomli_w.dumps(tables)}".encode()
 
 
 def _read_npz(where: str) -> dict[str, object]:
@@ -277,7 +267,7 @@ def _tree(flat: Mapping[str, Any], where: str) -> dict[str, object]:
     try:
         return _tree_of(flat)
     except ArgumentError as error:
-        raise _located(where, error) from None
+        raise FileFormatError(f"{where}: {error}", where) from None
 
 
 def _tree_of(flat: Mapping[str, Any]) -> dict[str, object]:

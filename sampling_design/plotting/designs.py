@@ -198,7 +198,7 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
 
 
 def draw_window_sigma(
-    result: WindowSigma, ax: Axes | None = None, *, columns: int = 2, beside: bool = True, origin: str | None = None
+    result: WindowSigma, ax: Axes | None = None, *, beside: bool = True, origin: str | None = None
 ) -> Axes:
     """Draw sigma over the window's end: attained values, proven bound, and the worst position, a date from `origin`.
 
@@ -220,7 +220,7 @@ def draw_window_sigma(
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
     title = f"sigma is at least {below(result.lower, 4)} in every window"
-    return style.finished(ax, style.sigma_label(result.coordinates), title, columns)
+    return style.finished(ax, style.sigma_label(result.coordinates), title, 2)
 
 
 def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:

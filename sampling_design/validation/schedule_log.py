@@ -237,7 +237,8 @@ def compare_schedule(
     length = checks.positive("window", window)
     taken = Schedule(actual, checks.output_mask("outputs", outputs, actual.size), time_unit=plant.time_unit)
     plan = align(plant, schedule)
-    planned = plan.between(0.0, float(actual[-1]) + _half_gap(plan))
+    half_gap = float(plan.gaps.min()) / 2 if plan.gaps.size else 0.0
+    planned = plan.between(0.0, float(actual[-1]) + half_gap)
     if not len(planned):
         raise ArgumentError(f"`schedule` plans no sample up to {float(actual[-1])!r}, the last of `times`.")
     match = _paired_times(planned.times, actual)
@@ -325,10 +326,6 @@ def _around(plant: Plant, schedule: Schedule, window: float, end: float, start: 
     part = align(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
     pieces = window_pieces(part, window, None if within.start else start)
     return sigma_of_pieces(plant, part, pieces, RTOL, np.inf)
-
-
-def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
-    return float(plan.gaps.min()) / 2 if plan.gaps.size else 0.0
 
 
 def _paired_times(planned: Array, actual: Array) -> Index:

@@ -202,8 +202,10 @@ class ConvexSet(Record):
 
     def magnitude(self) -> Array | None:
         """Return a bound on the signal, as `checks.bound` makes them: on its norm (0-d), on its entries, or None."""
-        if self._is_ball and not self.balls[0].centre.any() and _is_identity(self.balls[0].shape):
-            return np.asarray(self.balls[0].radius)
+        if self._is_ball:
+            ball = self.balls[0]
+            if not ball.centre.any() and np.array_equal(ball.shape, np.eye(self.dimension)):
+                return np.asarray(ball.radius)
         lower, upper = self.bounding_box()
         bound = np.maximum(np.abs(lower), np.abs(upper))
         return bound if np.isfinite(bound).all() else None
@@ -313,10 +315,6 @@ def _bounds(name: str, value: object) -> Array:
         raise ArgumentError(f"`{name}` must be a vector without NaN, got {checks.described(value)}.")
     array.flags.writeable = False
     return array
-
-
-def _is_identity(matrix: Array) -> bool:
-    return matrix.shape[0] == matrix.shape[1] and bool(np.array_equal(matrix, np.eye(matrix.shape[0])))
 
 
 def _linear_extent(rows: Array, offsets: Array, lower: Array, upper: Array) -> tuple[Array, Array]:

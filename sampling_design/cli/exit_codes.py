@@ -17,6 +17,8 @@ from sampling_design.cli.version import show_version
 
 DEFECT = 70  # exit code of an error that is none of ours: a defect of this program, with its traceback
 INTERRUPTED = 130  # exit code of an interrupt, as shells have it
+SIGNALS = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+"""What interrupts a command, where nobody has taken it yet: Ctrl-C, and what ends programs (`kill`, batch systems)."""
 ESCAPED = "sampling-design"  # how letters are written that an encoding has not
 ONE_THREAD = "OPENBLAS_NUM_THREADS"
 """Matrices here have 2 to 20 rows: a second thread of the BLAS waits, and takes half as many seconds again."""
@@ -27,10 +29,11 @@ class _InterruptHandler:
 
     def __init__(self) -> None:
         self.rung = False
-        self.before = (signal.getsignal(signal.SIGINT), sys.unraisablehook)
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a parent ignores it for us
-            signal.signal(signal.SIGINT, self._ring)
-            sys.unraisablehook = self._unraisable
+        self.before, self.hook = {each: signal.getsignal(each) for each in SIGNALS}, sys.unraisablehook
+        for each in SIGNALS:
+            if self.before[each] is SIGNALS[each]:  # not where a parent ignores it for us
+                signal.signal(each, self._ring)
+                sys.unraisablehook = self._unraisable
 
     def _ring(self, *_: object) -> None:
         self.rung = True
@@ -46,7 +49,8 @@ class _InterruptHandler:
 
         Nor must one that comes on that way: the work is done, and the exit code says of it what it is.
         """
-        handler, sys.unraisablehook = self.before
+        handler, sys.unraisablehook = self.before[signal.SIGINT], self.hook
+        signal.signal(signal.SIGTERM, self.before[signal.SIGTERM])
         signal.signal(signal.SIGINT, signal.SIG_IGN if self.rung else handler)
         if handler is signal.default_int_handler:
             atexit.unregister(_ignore_interrupts)
@@ -118,6 +122,9 @@ def _ending(error: BaseException) -> int:
     match error:
         case KeyboardInterrupt():  # before anything is imported: numpy, left in the middle, does not load again
             _say("interrupted.")
+            if (processes := sys.modules.get("multiprocessing")) is not None:
+                for each in processes.active_children():  # who have not got the signal
+                    each.terminate()
             exec("")  # Python remembers one that left an `exec`, as in namedtuple, and would end by the signal itself
             return INTERRUPTED
     from sampling_design.errors import SamplingDesignError

@@ -25,19 +25,26 @@ def interrupt(after):
     while signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # Python's own start is not ours to catch
         time.sleep(1e-4)
     time.sleep(after)
-    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), number)
 
-threading.Thread(target=interrupt, args=[float(sys.argv.pop(1))], daemon=True).start()
+after, number = float(sys.argv.pop(1)), int(sys.argv.pop(1))
+threading.Thread(target=interrupt, args=[after], daemon=True).start()
 main()
 """
 
 
-@pytest.mark.parametrize("after", few([0.002, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0], 0, 2, 6))
-def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after):
+MOMENTS = [(after, number) for after in (0.002, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0) for number in exit_codes.SIGNALS]
+
+
+@pytest.mark.parametrize(("after", "number"), few(MOMENTS, 0, 4, 12, 13))
+def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after, number):
     """From the first line on: while numpy, scipy and the drawing load, and while the search runs."""
     command = ["design", str(SATELLITE), str(EXAMPLES / "requirements" / "satellite.toml"), "--branches", "100000"]
     found = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED, str(after), *command], capture_output=True, text=True, check=False
+        [sys.executable, "-c", INTERRUPTED, str(after), str(int(number)), *command],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (found.returncode, "Traceback" in found.stderr) == (130, False), found.stderr
     assert "sampling-design: interrupted." in found.stderr
@@ -72,14 +79,25 @@ def test_processes_that_share_the_work_begin_deaf_to_interrupts(tmp_path):
     assert (tmp_path / "deaf.txt").read_text() == "True True "
 
 
+def of_all(pid):
+    """As a terminal does."""
+    os.killpg(pid, signal.SIGINT)
+
+
+def of_the_first_alone(pid):
+    """As `kill` and batch systems do: the others held what it wrote to open, minutes after its end."""
+    os.kill(pid, signal.SIGTERM)
+
+
 @pytest.mark.long
-def test_an_interrupt_ends_the_processes_that_share_the_work(tmp_path):
+@pytest.mark.parametrize("interrupt", [of_all, of_the_first_alone])
+def test_an_interrupt_ends_the_processes_that_share_the_work(interrupt):
     code = "from sampling_design.cli import main; main()"
     command = [sys.executable, "-c", code, "pareto", str(SATELLITE), "--counts", "8-40", "--workers", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(6)
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        interrupt(process.pid)
         told = process.communicate(timeout=30)[1]
     assert process.returncode == 130
     assert "Traceback" not in told
@@ -120,10 +138,23 @@ def test_an_interrupt_after_the_work_is_done_changes_nothing_of_it():
     assert (found.returncode, found.stderr) == (0, "")
 
 
-def test_after_a_command_the_interrupt_is_as_it_was(shell):
-    before = (signal.getsignal(signal.SIGINT), sys.unraisablehook)
+def test_a_file_that_is_half_written_when_the_program_is_ended_is_not_there(tmp_path):
+    """Its beginning stayed beside it under another name."""
+    code = (
+        "import os, signal; from sampling_design.cli import exit_codes; from sampling_design.records import file_io\n"
+        "def half():\n"
+        "    with file_io.AtomicWriter('plan.json') as file:\n"
+        "        file.write(b'{'); os.kill(os.getpid(), signal.SIGTERM)\n"
+        "exit_codes._run = half; exit_codes.main()"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr, [*tmp_path.iterdir()]) == (130, "sampling-design: interrupted.\n", [])
+
+
+def test_after_a_command_interrupts_are_as_they_were(shell):
+    before = ([signal.getsignal(each) for each in exit_codes.SIGNALS], sys.unraisablehook)
     shell("--version")
-    assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+    assert ([signal.getsignal(each) for each in exit_codes.SIGNALS], sys.unraisablehook) == before
 
 
 @pytest.mark.parametrize("more", few([["--json"], [], ["--help"]], 0))

@@ -83,7 +83,7 @@ class _PieceRows:
         self.zero = singular[:, -1] <= n * _EPS * singular[:, 0]
         safe = np.where(self.zero, 1.0, singular[:, -1])
         self.spread = np.where(self.zero[:, None], 1.0, singular)
-        self.seen = np.where(self.zero[:, None], 0.0, singular)
+        self.singular = np.where(self.zero[:, None], 0.0, singular)
         span = float(np.max(pieces.right - pieces.left)) + float(np.ptp(pieces.times)) if len(pieces.times) else 0.0
         self.grade = ALLOWANCE * max(1.0, float(np.linalg.norm(plant.A, 1)) * span / 200)
         self.kept = np.maximum(0.0, 1 - 3 * self.grade * size / safe)
@@ -154,7 +154,7 @@ class _PieceRows:
         size = np.empty(start.size)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             for part in self._parts(start.size):
-                O = self.seen[owner[part], :, None] * self.right[owner[part]]
+                O = self.singular[owner[part], :, None] * self.right[owner[part]]
                 back = O @ self.plant.transition(self.pieces.right[owner[part]] - start[part])
                 largest = np.abs(back).max(axis=(1, 2), initial=np.finfo(float).tiny)  # its square may overflow
                 size[part] = np.linalg.norm(back / largest[:, None, None], axis=(1, 2)) * largest

@@ -114,7 +114,7 @@ def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: st
     except FileFormatError:
         raise
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise _located(where, error) from None
 
 
 def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
@@ -154,6 +154,11 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
 def _exactly(data: Mapping[str, Any]) -> None:
     """Refuse numbers that are booleans or texts, and whatever else the plant's grammar does not allow."""
     file_io.exactly(PLANT, {key: value for key, value in data.items() if key != "time_unit"})
+
+
+def _located(where: str, error: ArgumentError) -> FileFormatError:
+    """The same sentence, with the file in front."""
+    return FileFormatError(f"{where}: {error}", where)
 
 
 def _agreed_unit(in_file: object, given: str | None) -> str:
@@ -267,7 +272,7 @@ def _tree(flat: Mapping[str, Any], where: str) -> dict[str, object]:
     try:
         return _tree_of(flat)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise _located(where, error) from None
 
 
 def _tree_of(flat: Mapping[str, Any]) -> dict[str, object]:

@@ -228,7 +228,7 @@ def bracket_of_rows(
     """
     question = asked.primitive()
     known = question.lasting()
-    upper = np.full(len(rows), np.inf if known.lift.shape[1] or known.modes else 0.0)
+    upper = np.array([known.at_rest(row) for row in rows])
     lower = upper[:opposed].copy()
     safe = [k for k, row in enumerate(rows) if known.plant.n_states and not known.touches(row)]
     if not safe:
@@ -309,12 +309,12 @@ def _record(
     """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
     edges = _edges(question, None if finder is None else finder.system, next(iter(found.values()), None))
-    unknown = np.inf if known.lift.shape[1] or known.modes else 0.0  # what decays and nothing drives leaves nothing
-    lower, upper, worst = np.full(count, unknown), np.full(count, unknown), np.full(count, times[0])
+    unknown = np.array([known.at_rest(row) for row in rows.matrix])
+    lower, upper, worst = unknown.copy(), unknown.copy(), np.full(count, times[0])
     closed, offsets = np.ones(count, dtype=bool), np.zeros(count)
-    known_from = np.full(count, np.inf if unknown else -np.inf)
-    at_samples = np.full((count, len(times)), unknown)
-    below, above = np.full((2, count, edges.size - 1), unknown)
+    known_from = np.where(unknown > 0, np.inf, -np.inf)
+    at_samples = np.tile(unknown[:, None], (1, len(times)))
+    below, above = np.tile(unknown[:, None], (2, 1, edges.size - 1))
     witnesses: list[AccuracyWitness | None] = [None] * count
     proof: tuple[GapProof, ...] = ()
     for done, (k, search) in enumerate(found.items()):

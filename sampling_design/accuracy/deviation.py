@@ -178,9 +178,8 @@ def deviations(
     lengths = np.diff(question.nodes, append=question.end)
     offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
-    unknown = np.inf if known.lift.shape[1] or known.modes else 0.0
-    profile = np.full((len(rows), times.size), unknown)
-    worst, worst_at, mean = np.full(len(rows), unknown), np.full(len(rows), times[0]), np.full(len(rows), unknown)
+    worst, worst_at = np.array([known.at_rest(row) for row in rows.matrix]), np.full(len(rows), times[0])
+    profile, mean = np.tile(worst[:, None], (1, times.size)), worst.copy()
     for k in safe:
         assert curves is not None  # there is such a row
         row = rows.matrix[k] @ known.lift

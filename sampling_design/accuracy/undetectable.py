@@ -55,6 +55,10 @@ class DetectablePart:
         norms = np.abs(row @ self.unknown)
         return bool(np.any(norms > TOUCHED * (np.abs(row) @ np.abs(self.unknown))))
 
+    def at_rest(self, row: Array) -> float:
+        """What is left of row'x where no search says: nothing if the rest has decayed, else anything."""
+        return np.inf if self.plant.n_states or self.touches(row) else 0.0
+
 
 def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) -> DetectablePart:
     """Return what an endless schedule lets anybody know of a plant."""

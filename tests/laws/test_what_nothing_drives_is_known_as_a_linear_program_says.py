@@ -189,3 +189,20 @@ def test_odd_multiples_of_its_rate_hide_an_undamped_mode(turn, unit):
         replace(witness, past=replace(begun, w=0.9 * begun.w)),
     ):
         assert not replace(found, witnesses=(forged,)).verify()
+
+
+@pytest.mark.parametrize("seed", few(range(24), 1, 4))
+def test_what_decays_beside_what_no_sample_shows_is_known_in_the_end(seed):
+    """What no sample shows leaves rows alone that it does not enter, also where nothing drives the plant."""
+    rng = np.random.default_rng(seed)
+    hidden, decaying = rng.uniform(0.0, 0.2, 1 + seed % 2), -rng.uniform(0.2, 3.0, 2)
+    order, rates = rng.permutation(2 + len(hidden)), np.append(decaying, hidden)
+    plant = sd.Plant(np.diag(rates)[np.ix_(order, order)], [np.append(rng.normal(size=2), 0 * hidden)[order]])
+    decays, noise = rates[order] < 0, rng.uniform(0.1, 0.5)
+    schedule = sd.PeriodicSchedule(rng.uniform(0.4, 1.5, 2))
+    for w in (0.0, 0.1):
+        found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=noise)
+        stds = sd.accuracy.standard_deviation(plant, schedule, w_intensity=w, v_deviation=noise).worst
+        assert np.isfinite(found.upper).tolist() == np.isfinite(stds).tolist() == decays.tolist()
+        assert found.verify()
+        assert w or not (found.upper[decays].any() or stds[decays].any())

@@ -1,10 +1,15 @@
-"""Are samples where the certificate's schedule says? Asked one sample at a time, in constant time."""
+"""Are samples where the certificate's schedule says? Asked one sample at a time, in constant time.
+
+A family that remembers all gaps is asked about all that are kept.
+"""
 
 from __future__ import annotations
 
 import math
 import warnings
 from collections.abc import Sequence
+from functools import cached_property
+from typing import overload
 
 import numpy as np
 
@@ -120,9 +125,7 @@ class ScheduleWatch:
         """
         if self.nominal is None:
             return self._family_fits(times, first) and (self.family is None or bool(np.all(mask > 0)))
-        if self.zero:
-            times = [t - self.zero for t in times]
-        before, t = float(times[-2]), float(times[-1])
+        before, t = float(times[-2]) - self.zero, float(times[-1]) - self.zero
         k = self._nearest(t)
         if k is None or abs(self._planned(k) - t) > self._room(t):
             return False
@@ -136,8 +139,7 @@ class ScheduleWatch:
     def nothing_missed(self, times: Sequence[float], t: float, first: bool) -> bool:
         """Whether no sample was due after the last of `times` and ahead of t."""
         if self.nominal is None:
-            longest = np.inf if self.family is None else self.family.longest_next(self._counted(times))
-            return t - times[-1] <= longest + self._room(t)
+            return t - times[-1] <= self._longest_next(times, None) + self._room(t)
         before, t = times[-1] - self.zero, t - self.zero
         last = self._next_scheduled(before, first) + self.losses[0]
         if not self.nominal.endless and last >= len(self.nominal):
@@ -184,8 +186,8 @@ class ScheduleWatch:
     def _few_lost(self, times: Sequence[float], k: int, first: bool) -> bool:
         """Whether few enough of the samples planned up to number k were lost, among those still remembered."""
         most, of = self.losses
-        taken = {self._nearest(float(t)) for t in times[1 if first else 0 :]}
-        start = self._next_scheduled(float(times[0]), True)
+        taken = {self._nearest(float(t) - self.zero) for t in times[1 if first else 0 :]}
+        start = self._next_scheduled(float(times[0]) - self.zero, True)
         lost = np.array([j not in taken for j in range(max(start, k - 2 * of), k + 1)], dtype=int)
         total = np.concatenate([[0], np.cumsum(lost)])
         return bool(np.all(total[of:] - total[:-of] <= most)) if lost.size >= of else bool(total[-1] <= most)
@@ -195,7 +197,7 @@ class ScheduleWatch:
         if family is None:
             return True
         gap, room = float(times[-1] - times[-2]), self._room(float(times[-1]))
-        if gap > family.longest_next(self._counted(times[:-1])) + room:
+        if gap > self._longest_next(times, -1) + room:
             return False
         if first:
             return True
@@ -205,6 +207,12 @@ class ScheduleWatch:
             return True
         samples = self._counted(times)
         return self.tolerance > 0 or samples.size < 2 or family.contains(Schedule(samples))
+
+    def _longest_next(self, times: Sequence[float], end: int | None) -> float:
+        """Longest gap that may follow the times up to a place; a family that does not remember is told of none."""
+        if self.family is None:
+            return np.inf
+        return self.family.longest_next(self._counted(times[:end]) if self.family.remembers else np.zeros(0))
 
     @staticmethod
     def _counted(times: Sequence[float]) -> Array:
@@ -248,8 +256,8 @@ class ScheduleClaim:
         return all(self._none_missed(i, nodes, t) for i in self.watches)
 
     def _none_missed(self, i: int | None, nodes: Sequence[HistoryNode], t: float) -> bool:
-        before, first = _taken(i, nodes)
-        return bool(before) and self.watches[i].nothing_missed([node.t for node in before], t, first)
+        taken = _TakenTimes(i, nodes)
+        return taken.last is not None and self.watches[i].nothing_missed(taken, t, taken.first)
 
     def fits(self, state: EstimatorState, t: float, mask: Array) -> bool:
         """Whether everything up to and with a sample at t is on schedule.
@@ -261,26 +269,55 @@ class ScheduleClaim:
         if not mask.any():
             return self.nothing_missed(state.nodes, t)
         for i, watch in self.watches.items():
-            before, first = _taken(i, state.nodes)
             read = mask if i is None else mask[i : i + 1]
             if not read.any():
                 fit = self._none_missed(i, state.nodes, t)
             else:
-                fit = bool(before) and watch.sample_fits([*(node.t for node in before), t], read, first)
+                taken = _TakenTimes(i, state.nodes, t)
+                fit = taken.last is not None and watch.sample_fits(taken, read, taken.first)
             if not fit:
                 return False
         return True
 
 
-def _taken(i: int | None, nodes: Sequence[HistoryNode]) -> tuple[list[HistoryNode], bool]:
-    """The prior and the samples that count, of output i alone if it is one; and whether only the prior is known.
+class _TakenTimes(Sequence[float]):
+    """Times of the prior and the samples that count, of output i alone if it is one, and perhaps of one ahead of them.
 
-    Where all samples of an output are too old to be known, the oldest node stands for the prior.
+    Most ask for the last ones alone, and these are found from the end. Where all samples of an output are too old to be
+    known, the oldest node stands for the prior.
     """
-    known = [node for node in nodes if _counts(node)]
-    own = known if i is None else [node for node in known if node.sample.y is None or node.mask[i]]
-    own = own or known[:1]
-    return own, bool(own) and (own[-1].sample.y is None or not (i is None or own[-1].mask[i]))
+
+    def __init__(self, i: int | None, nodes: Sequence[HistoryNode], *ahead: float):
+        self._i, self._nodes, self._ahead = i, nodes, ahead
+        self.last = next(filter(self._own, reversed(nodes)), None) or next(filter(_counts, nodes), None)
+
+    def _own(self, node: HistoryNode) -> bool:
+        return _counts(node) and (self._i is None or node.sample.y is None or bool(node.mask[self._i]))
+
+    @property
+    def first(self) -> bool:
+        """Whether only the prior is known."""
+        last = self.last
+        return last is not None and (last.sample.y is None or not (self._i is None or bool(last.mask[self._i])))
+
+    @cached_property
+    def _all(self) -> list[float]:
+        own = [node.t for node in self._nodes if self._own(node)]
+        return [*(own or [node.t for node in (self.last,) if node is not None]), *self._ahead]
+
+    @overload
+    def __getitem__(self, at: int) -> float: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[float]: ...
+    def __getitem__(self, at: int | slice) -> float | list[float]:
+        if at == -1 and self._ahead:
+            return self._ahead[0]
+        if self.last is not None and at == -1 - len(self._ahead):
+            return self.last.t
+        return self._all[at]
+
+    def __len__(self) -> int:
+        return len(self._all)
 
 
 def _counts(node: HistoryNode) -> bool:

@@ -234,7 +234,8 @@ def bracket_of_rows(
     if not safe:
         return lower, upper
     search = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=limit)
-    found = [search.row(rows[k] @ known.lift, _without_margin(tolerance), MOST_SOLVES) for k in safe]
+    most = MOST_SOLVES if opposed or not limit.over else 0
+    found = [search.row(rows[k] @ known.lift, _without_margin(tolerance), most) for k in safe]
     search.sketch_rows(found)
     for k, row in zip(safe, found, strict=True):
         again = search.opened(row.row, row.opened)

@@ -53,6 +53,11 @@ class BoundedDirections:
         return directions
 
     @property
+    def bare(self) -> BoundedDirections:
+        """The reach alone."""
+        return BoundedDirections(self.basis, self.reach)
+
+    @property
     def whole(self) -> bool:
         """Whether every direction is bounded."""
         return bool(self.basis.shape[0] == self.basis.shape[1])

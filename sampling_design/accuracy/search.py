@@ -26,6 +26,7 @@ SHARE = 0.75
 """Share of the tolerance within which both sides of one target must meet; the rest is for the time between targets."""
 
 PROFILE = 1.05  # ratio of the two bounds at which a gap's profile counts as known
+APART = 20.0  # ratio of the two bounds from which on one adversary of its own is sought for a row, whatever is left
 FILLED = 24  # offsets solved for the profile of one row, though two for each gap at least
 
 ADVERSARIES = (8, 32)
@@ -287,10 +288,14 @@ class GainSearch:
         return adversary.value >= target or gains.value < best * (1 - rtol / 8)
 
     def opened(self, row: Array, gaps: dict[int, RowBetweenSamples] | None = None) -> RowSearch:
-        """A row over the schedule, as far as directions and adversaries against other rows tell; `gaps` if known."""
+        """A row over the schedule, as far as directions and adversaries against other rows tell; `gaps` if known.
+
+        Once the budget is spent directions wait until all rows are known, which is when `gaps` are.
+        """
         known: KnownIntegrals = {}
+        rushed = gaps is None and self.budget.over
         gaps = gaps or {j: open_row(self.system, j, row, known=known) for j in self.system.judged}
-        bounds = {j: gap.bound(self.directions[j]) for j, gap in gaps.items()}
+        bounds = {j: gap.bound(self.directions[j].bare if rushed else self.directions[j]) for j, gap in gaps.items()}
         nodes, panels = ({j: both[side] for j, both in bounds.items()} for side in (0, 1))
         found = RowSearch(row, gaps, nodes, panels, {j: {} for j in gaps})
         found.lower = max(self._reached(found, j) for j in gaps)
@@ -323,7 +328,7 @@ class GainSearch:
             if self.solves >= limit:
                 return found
             if self.budget.over:
-                if found.lower > 0:
+                if found.lower > (0.0 if found.tried else top / APART):
                     return found
                 self._both_sides_at(found, j, panel, rough=True)  # one, so that the bracket says something
                 limit = self.solves

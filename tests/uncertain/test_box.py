@@ -368,6 +368,28 @@ def test_accuracy_that_cannot_be_bounded_says_so(monkeypatch):
         guaranteed_accuracy(oscillator(), PeriodicSchedule([1.0]), w_bound=[1.0, 1.0], v_bound=1.0)
 
 
+def test_accuracy_over_a_box_says_of_which_rows_nothing_finite_was_proven(monkeypatch):
+    def one(asked, rows, tolerance, limit, opposed):
+        return np.ones(opposed), np.where(np.arange(len(rows)) == 1, np.inf, 2.0)
+
+    monkeypatch.setattr(accuracy_over_box, "bracket_of_rows", one)
+    monkeypatch.setattr(accuracy_over_box, "SECONDS", 0.0)
+    found = guaranteed_accuracy(oscillator(), PeriodicSchedule([1.0]), w_bound=[1.0, 1.0], v_bound=1.0)
+    assert np.isinf(found.upper).all()
+    assert not found.closed.any()
+    assert found.lower.tolist() == [1.0, 1.0]
+    assert "Of x1, x2 nothing finite was proven in time" in found.explain()
+
+
+def test_one_cell_proves_what_a_mismatch_does_that_bounds_itself_far_above_the_centre():
+    leak = UncertainParameter("leak", -0.5, 0.5, A=[[1.0]])
+    plant, schedule = UncertainPlant(Plant([[-0.5]], [[1.0]], G=[[1.0]]), [leak]), PeriodicSchedule([1.0])
+    found = guaranteed_accuracy(plant, schedule, rtol=0.95, w_bound=0.5, v_bound=0.2)
+    worst = guaranteed_accuracy(plant.at([0.5]), schedule, w_bound=0.5, v_bound=0.2)
+    assert found.cells == 1
+    assert worst.lower[0] <= found.upper[0] <= 1.4 * worst.upper[0]
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 

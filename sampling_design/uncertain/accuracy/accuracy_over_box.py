@@ -14,6 +14,7 @@ from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
+from sampling_design.numerics.linalg import extrapolated
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant, Signals, remade
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
@@ -41,8 +42,9 @@ RTOL = 0.1
 FINER = 0.4  # share of the tolerance that the bracket of each single plant may take
 PART, SHORTEST = 0.4, 0.05
 """Share of the seconds left that one plant may take; and of all seconds, what it may take once they are spent."""
-GUESSES = (1.02, 1.1, 1.4, 2.5)
-"""Factors by which what the mismatch moves is taken larger than at the centre, one after the other."""
+FIRST, ROOM, TURNS = 1.02, 1.02, 4
+"""How much larger what the mismatch moves is taken than at the centre, then than where it may bound itself, and how
+often: three times at least, whatever is left."""
 MOST_CORNERS = 2  # parameters up to which the corners of the box are looked at first
 RANK = 1e-13  # singular values below this share of the largest are rounding of a parameter's matrix
 SMALLEST = 1e-6  # cells below this share of the box, along every parameter, are not halved further
@@ -58,6 +60,7 @@ class AccuracyOverBox(AccuracyBracket):
         Attained by the plant `worst[k]`: no estimator guarantees less for it, even one that knows its parameters.
     upper : (r,) array
         Proven: for every plant of the box an estimator that knows its parameters guarantees it, at all real times.
+        Infinite where the budget ended before anything finite was proven of all plants.
     worst : tuple of mappings
         Values of the parameters, one for each row.
     closed : (r,) bool array
@@ -100,10 +103,14 @@ class AccuracyOverBox(AccuracyBracket):
 
     def explain(self) -> str:
         """Say what can be guaranteed for every plant of the box."""
-        parts = [f"{n} within {above(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True)]
+        ends = [*zip(self.rows.labels(), self.upper, strict=True)]
+        parts = [f"{name} within {above(most, 4)}" for name, most in ends if np.isfinite(most)]
+        open_still = [name for name, most in ends if np.isinf(most)]
+        text = f"Whichever plant of the box it is, some estimator that knows it guarantees {', '.join(parts)}. "
+        more = f"Of {', '.join(open_still)} nothing finite was proven in time for every plant of the box. "
         return (
-            f"Whichever plant of the box it is, some estimator that knows it guarantees {', '.join(parts)}; for the "
-            f"worst plants none guarantees less than {below(self.lower, 4)}."
+            f"{text if parts else ''}{more if open_still else ''}"
+            f"For the worst plants none guarantees less than {below(self.lower, 4)}."
         )
 
 
@@ -126,7 +133,7 @@ def accuracy_over_box(
     those disturbances and zero outputs, then the same implication bounds every wanted row (a small-gain argument: what
     gains prove is affine in beta with a nonnegative matrix, whose spectral radius is then below 1). Raises
     ArgumentError if the schedule is finite, or a bound is not one number for each entry; UndecidedError if some plant
-    of the box could not be bounded.
+    of the box could not be bounded, and none attains anything.
     """
     refuse_others("over a box of parameters", **others)
     aligned, rtol = align(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
@@ -175,7 +182,7 @@ def accuracy_over_box(
     lower, top, cells = -search.best, -search.lower, search.judged
     named = [each.name for each in plant.parameters]
     where = tuple(dict(zip(named, np.clip(each, plant.low, plant.high).tolist(), strict=True)) for each in worst)
-    if not np.all(np.isfinite(top)):
+    if np.any(np.isinf(top) & (lower == 0)):
         raise KeyboardInterrupt if status == "interrupted" else _unbounded(where[0])
     closed = top * (1 - BALL_ROOM * rtol) <= lower
     return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
@@ -210,16 +217,17 @@ def _cell(
         return low, np.full(count, np.inf)
     extra = np.hstack([centre.G, *into, *driven])
     wide = remade(centre, G=extra, disturbances=Signals([f"d{k}" for k in range(extra.shape[1])]))
-    for factor in GUESSES:
-        beta = factor * up[count:]
+    before, beta = np.zeros(len(up) - count), FIRST * up[count:]
+    for turn in range(TURNS):
         noise = v + sum(
             (beta[moves + k * len(v) : moves + (k + 1) * len(v)] for k in range(len(moved_outputs))), np.zeros(len(v))
         )
         _, found = one(wide, np.concatenate([w, beta[:moves], *[w for _ in driven]]), noise, matrix, 0)
         if np.all(found[count:] < beta) or not len(beta):
             return low, found[:count]
-        if given.over:
-            break
+        if not np.all(found[count:] < 2 * beta) or (turn > 1 and given.over):
+            break  # what moves by twice as much as was taken grows faster than it
+        before, beta = beta, ROOM * extrapolated(before, beta, found[count:])
     return low, np.full(count, np.inf)
 
 

@@ -79,7 +79,7 @@ class SigmaDeviations(PlainRecord):
     in_sigma: bool = False
     sampled: bool = False
 
-    _plain = "tolerance:tolerance.plain in_sigma late late_wider lost lost_sample time_unit strength:_strength?"
+    _plain = "tolerance:tolerance.plain in_sigma late late_wider lost lost_sample time_unit strength?:_strength"
 
     def _strength(self) -> str | None:
         return "sampled" if self.sampled else None

@@ -24,7 +24,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.budget import ENDLESS, Budget, Progress
+from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import above, below
 from sampling_design.records.signatures import open_verb
@@ -184,7 +184,7 @@ def answer_of(
     asked: AccuracyQuestion,
     rows: RequestedRows,
     tolerance: float,
-    limit: Budget = ENDLESS,
+    limit: Budget,
     deviation: StandardDeviation | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -200,10 +200,12 @@ def answer_of(
     found: dict[int, RowSearch] = {}
     if search is not None:
         for done, k in enumerate(safe, 1):
-            found[k] = _bracketed(search, rows.matrix[k] @ known.lift, tolerance)
+            search.budget = limit.share(1 / (len(safe) + 1 - done))
+            found[k] = _bracketed(search, rows.matrix[k] @ known.lift, tolerance, limit)
             if progress is not None:
                 between = f"{below(found[k].lower)} to {above(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
+        search.budget = limit
         search.sketch_rows(found.values())
     if planned is not None and search is not None:  # on the same panels
         planned.system = planned.system.at_speed(speed_of(search.system))
@@ -250,14 +252,14 @@ def _without_margin(tolerance: float) -> float:
     return max((1 + tolerance) / (1 + 2 * MARGIN) - 1, tolerance / 2)
 
 
-def _bracketed(search: GainSearch, row: Array, tolerance: float) -> RowSearch:
+def _bracketed(search: GainSearch, row: Array, tolerance: float, limit: Budget) -> RowSearch:
     """The bracket and the profile of one row; after an interrupt what is proven by then."""
     tolerance = _without_margin(tolerance)
     try:
         found = search.row(row, tolerance, MOST_SOLVES)
         search.profile(found)
     except KeyboardInterrupt:
-        search.budget.stop()
+        limit.stop()
         found = search.row(row, tolerance, MOST_SOLVES)
     return found
 

@@ -17,6 +17,11 @@ from sampling_design.numerics.linalg import expm_batch, forced_flow
 from sampling_design.records.arrays import Array
 from sampling_design.records.kept import kept
 
+NEGLIGIBLE = 1e-4
+"""A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if
+adversaries attain less than so much of that again: what nothing drives and what decays is known exactly in the end, no
+relative tolerance closes the bracket of a 0, and a solver leaves its last digits."""
+
 GRID = (64, 2048)  # least and largest number of panels of a gap on which the profile stands
 FINENESS = 0.1  # length of such a panel times the pace of A in scaled coordinates
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import NOTHING
 from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-12  # two directions are one if their cosine, in units of the reach, is 1 within this
@@ -201,3 +202,19 @@ class BoundedDirections:
         """Say whether nothing of the rests of targets (default: of themselves) lies outside the basis."""
         left = np.linalg.norm(rest - (rest @ self.basis) @ self.basis.T, axis=1)
         return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))
+
+
+def combined_gains(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> tuple[Array, ...]:
+    """Return gains for mu'z_j put together from those of the nearest directions, the latest sample last."""
+    return combined(system, j, mu, directions)[0]
+
+
+def combined(
+    system: SampledSystem, j: int, mu: Array, directions: BoundedDirections
+) -> tuple[tuple[Array, ...], Array]:
+    """Return the same, and what they are the gains of: nearly mu."""
+    place, share = directions.fit(mu[None])
+    parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(place[0], share[0], strict=True)]
+    empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]
+    both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
+    return tuple(a + b for a, b in zip(*both, strict=True)), share[0] @ directions.mu[place[0]]

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, boxed
-from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
-from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.between_samples import NEGLIGIBLE, KnownIntegrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.bounded_directions import BoundedDirections, combined
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, filtered, transferred_gains
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
@@ -39,16 +39,12 @@ FOLLOWED = 8  # states from which on that costs less than the programs that it s
 TOLERANCE, ROUGH = 1e-7, 1e-5  # asked of the solver: what both sides prove is second order in it; for gains alone
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
 LONGEST = 4096  # samples back beyond which the past is not followed
+GAINS, FITTED = (1e-3, 8e-5), (1e-3, 2e-8)  # counted: bounding a row by gains, fitting a gap's offsets to directions
 FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
 
 CLOSER = 0.1
 """Share of what parts two sides that longer gains must take away where nothing drives a mode: all directions that it
 turns through are then solved anew, and what is attained may be as far below for ever."""
-
-NEGLIGIBLE = 1e-4
-"""A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if
-adversaries attain less than so much of that again: what nothing drives and what decays is known exactly in the end, no
-relative tolerance closes the bracket of a 0, and a solver leaves its last digits."""
 
 
 @dataclass(eq=False)
@@ -165,7 +161,7 @@ class GainSearch:
         gains = self.window(j, self.back, False).gains(mu, enough)
         if self._tail > self.back:
             gains = min(gains, self.followed(j, mu, gains.gains), key=lambda one: one.value)
-        self.directions[j].add(mu, gains)
+        self._learn(j, mu, gains)
         return gains
 
     def sketch(self, j: int, mu: Array) -> None:
@@ -190,10 +186,15 @@ class GainSearch:
             if mu:
                 self.sketch(j, np.vstack(mu))
 
+    def _learn(self, j: int, mu: Array, gains: Gains) -> None:
+        """Keep gains with their direction, counted."""
+        self.budget.add(GAINS, len(gains.gains) * self.system.D.size)
+        self.directions[j].add(mu, gains)
+
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
         found, adversary = self.oppose(j, mu, rough)
-        self.directions[j].add(mu, gains := self.followed(j, mu, found.gains))  # when the past is endless
+        self._learn(j, mu, gains := self.followed(j, mu, found.gains))  # when the past is endless
         return gains, adversary
 
     def oppose(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
@@ -392,11 +393,10 @@ class GainSearch:
 
     def _combined(self, found: RowSearch, j: int, offset: int) -> float:
         """What the gains of the nearest directions prove together at an offset; no solver."""
-        mu, directions = found.opened[j].mu[offset], self.directions[j]
         if (j, offset) not in found.combined:
             found.combined.add((j, offset))
             for gains in self._guessed(found, j, offset):
-                directions.add(mu, gains)
+                self._learn(j, found.opened[j].mu[offset], gains)
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
@@ -420,6 +420,7 @@ class GainSearch:
         self._refresh(found, j)
 
     def _refresh(self, found: RowSearch, j: int) -> None:
+        self.budget.add(FITTED, len(found.opened[j].d) * len(self.directions[j].gains) * self.system.D.size)
         found.nodes[j], found.panels[j] = found.opened[j].bound(self.directions[j])
         found.lower = max(found.lower, self._reached(found, j))
 
@@ -502,19 +503,3 @@ class GainSearch:
         ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
         best = int(np.argmax(np.where(top[left] > 0, ratio, 0.0)))
         return float(ratio[best]), int(left[best])
-
-
-def combined_gains(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> tuple[Array, ...]:
-    """Return gains for mu'z_j put together from those of the nearest directions, the latest sample last."""
-    return combined(system, j, mu, directions)[0]
-
-
-def combined(
-    system: SampledSystem, j: int, mu: Array, directions: BoundedDirections
-) -> tuple[tuple[Array, ...], Array]:
-    """Return the same, and what they are the gains of: nearly mu."""
-    place, share = directions.fit(mu[None])
-    parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(place[0], share[0], strict=True)]
-    empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]
-    both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
-    return tuple(a + b for a, b in zip(*both, strict=True)), share[0] @ directions.mu[place[0]]

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.adversary_program import Adversary
-from sampling_design.accuracy.between_samples import RowBetweenSamples
+from sampling_design.accuracy.between_samples import NEGLIGIBLE, RowBetweenSamples
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import NEGLIGIBLE, GainSearch, RowSearch
+from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.unknown_start import AMONG, LastingTrajectory, beyond
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products

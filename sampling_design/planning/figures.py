@@ -25,6 +25,7 @@ from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import requested_rows
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.record import PlainRecord, TableRecord, above
 from sampling_design.records.units import SECONDS, spoken
 from sampling_design.records.vector_bounds import VectorBound
@@ -138,8 +139,8 @@ class PlanStart(PlainRecord):
         return f"Once the plan is started, {self.since()} ({above(self.ratio, 3)} of each)."
 
 
-def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
-    """The accuracy of a choice's goals that are guaranteed; None if it has none."""
+def accuracy_of(problem: PlanProblem, chosen: Mask, work: Budget | None = None) -> Accuracy | None:
+    """The accuracy of a choice's goals that are guaranteed, as far as work lasts; None if it has none."""
     rows = [goal.row for goal in problem.goals if not goal.stochastic]
     if not rows:
         return None
@@ -156,7 +157,9 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     question = AccuracyQuestion.of(plant, align(plant, schedule), problem.requirement.w_bound, v, late=late)
     if question.is_late:
         refuse_tolerance(question, False)
-    return answer_of(question, requested_rows(plant, np.array(rows)), RTOL)  # about the middles, as what follows is
+    return answer_of(
+        question, requested_rows(plant, np.array(rows)), RTOL, work or Budget()
+    )  # about the middles, as what follows is
 
 
 LEFT_OUT: dict[str, str] = {
@@ -222,9 +225,22 @@ class PlanFigures(TableRecord, PlainRecord):
     @cached_property
     def oracle(self) -> AccuracyOracle:
         """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
-        oracle = AccuracyOracle(self.problem, discretize(self.problem))
+        return self._judging(Budget(counted=True))
+
+    def _judging(self, work: Budget) -> AccuracyOracle:
+        oracle = AccuracyOracle(self.problem, discretize(self.problem, work), work)
         oracle.judge(self.chosen)
         return oracle
+
+    def count(self, work: Budget) -> None:
+        """Count what the oracle does from now on, and did, as part of some work.
+
+        Raises BudgetSpentError if that is more than there is left.
+        """
+        if "oracle" in vars(self):
+            self.oracle.count(work)
+        else:
+            vars(self)["oracle"] = self._judging(work)
 
     @property
     def clock(self) -> PlanClock:

@@ -240,7 +240,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
             return known.touches(self.rows.matrix[k]) or self.lower[k] == 0 or self.question.initial is not None
         if not keeps_times(witness, self.question):
             return False
-        value, excess = attains(witness, self.bounds, self.question.initial)
+        asked = self.question.primitive()
+        value, excess = attains(witness, asked.bounds, asked.initial, asked.gaps)
         return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
 
     _answers = (

@@ -16,8 +16,8 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
+from sampling_design.accuracy.lasting import LastingResponses, LastingTrajectory
 from sampling_design.accuracy.sampled_system import SampledSystem
-from sampling_design.accuracy.unknown_start import LastingResponses, LastingTrajectory
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram, StageSolution
@@ -245,7 +245,9 @@ class ConeWindow:
         if system.start is not None and self.start is system.start:
             factor = max(factor, system.start.excess(z[0]))
         elif past is not None:
-            factor = max(factor, past.excess(system.plant, system.bounds))
+            factor = max(
+                factor, past.excess(system.plant, system.bounds, system.lengths, system.sample_of(self.nodes[0]))
+            )
         for u in w:
             size = np.linalg.norm(u, axis=1) if system.bounds.w_ball else np.abs(u)
             factor = max(factor, float(np.max(size, initial=0.0)))

@@ -175,7 +175,7 @@ def deviations(
     known = question.lasting()  # of what nothing drives and what decays, an endless past has left nothing
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
     curves = _DeviationCurves(question, known.plant, W, known.moving) if safe else None
-    lengths = np.diff(question.nodes, append=question.end)
+    lengths = question.gaps
     offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
     worst, worst_at = np.array([known.at_rest(row) for row in rows.matrix]), np.full(len(rows), times[0])
@@ -210,7 +210,7 @@ class _DeviationCurves:
         return list(zip(*discounted_flow(self.A, self._noise, lengths), strict=True))
 
     def _endless(self, rows: list[Array]) -> list[Array]:
-        lengths = np.diff(self.question.nodes, append=self.question.end)
+        lengths = self.question.gaps
         n, r, count = len(self.A), self._r, len(lengths)
         bases = [np.eye(n)] * count if r == n else list(self._L)  # the last n - r entries nobody knows, or needs
         maps = []

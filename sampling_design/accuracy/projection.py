@@ -180,7 +180,7 @@ def _reached(search: GainSearch, node: int, row: Array, d: float, question: Accu
     best = min(search.both_sides(node, mu)[0].value, search.gains(node, mu).value)
     adversary = search.adversaries[node][-1]
     witness = physical(row, opened, adversary, opened.d.size - 1 if d else 0)
-    _, excess = attains(witness, question.bounds, question.initial)
+    _, excess = attains(witness, question.bounds, question.initial, question.gaps)
     _, x, _ = witness.simulate()
     return best + float(opened.above[-1]), x / max(excess, 1.0) if np.isfinite(excess) else np.zeros(system.D.size)
 

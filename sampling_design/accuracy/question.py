@@ -161,6 +161,11 @@ class AccuracyQuestion:
         return planned + float(turns) * float(self.end - self.nodes[0]) * (self.initial is None)
 
     @property
+    def gaps(self) -> Array:
+        """(N,): lengths of the gaps behind the nodes."""
+        return np.diff(self.nodes, append=self.end)
+
+    @property
     def samples(self) -> Index:
         """Nodes that are samples."""
         return np.arange(self.nodes.size - len(self.schedule), self.nodes.size)
@@ -197,7 +202,7 @@ class AccuracyQuestion:
         if self.initial is not None:
             system = finite_system(plant, self.nodes, self.end, self.bounds, self.initial)
         else:
-            system = periodic_system(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
+            system = periodic_system(plant, self.gaps, self.bounds, moving)
         if self.is_late:
             system = with_results_out(system, self.comes_after)
         if system.start is not None:

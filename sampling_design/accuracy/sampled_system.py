@@ -18,8 +18,8 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, pace, state_scales
+from sampling_design.accuracy.lasting import LastingResponses
 from sampling_design.accuracy.riccati import settled
-from sampling_design.accuracy.unknown_start import LastingResponses
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import update_with_gain
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
@@ -164,7 +164,7 @@ class SampledSystem:
         """What is known when, in order of time; each has a node of its own."""
         if self.known_spans:
             return self.known_spans
-        lengths = [gap.length for gap in self.gaps] + [self.last] * (len(self) - len(self.gaps))
+        lengths = [*self.lengths.tolist(), *[self.last] * (len(self) - len(self.gaps))]
         times = np.append(0.0, np.cumsum(lengths))
         return tuple(KnownSpan(j, float(times[j]), 0.0, h) for j, h in enumerate(lengths))
 
@@ -179,6 +179,11 @@ class SampledSystem:
         if self.known_spans:
             return {(self.sample_of(node), i): node for span in self.known_spans for node, i in span.new}
         return {(j, i): j for j, sample in enumerate(self.samples) for i in sample.outputs.tolist()}
+
+    @property
+    def lengths(self) -> Array:
+        """Those of the gaps."""
+        return np.array([gap.length for gap in self.gaps])
 
     def sample_of(self, j: int) -> int:
         """Which of the samples node j is."""
@@ -211,6 +216,15 @@ class SampledSystem:
     def lasting(self) -> LastingResponses | None:
         """Those of an endless system that may have gone on for ever; None where something is unknown for ever."""
         return LastingResponses.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
+
+    @property
+    def undriven(self) -> bool:
+        """Whether no w drives one of its modes that do not decay."""
+        return self.lasting is not None and self.lasting.undriven
+
+    def repeating(self, j: int) -> LastingResponses:
+        """The same with the period of the samples, up to sample j."""
+        return LastingResponses.of(self.plant, self.bounds, self.lengths, j)
 
     def mu(self, j: int, rows: Array) -> Array:
         """Return rows (k, n) of x at node j as columns (n, k) that multiply z."""

@@ -70,8 +70,7 @@ class RowSearch:
     upper: float = np.inf
     worst: tuple[int, int] = (0, 0)
     closed: bool = False
-    size: float = 0.0
-    """What disturbance and noise of a period make of the row."""
+    size: float = 0.0  # what disturbance and noise of a period make of the row
 
     @property
     def idle(self) -> bool:
@@ -90,16 +89,15 @@ class GainSearch:
         budget: Budget = ENDLESS,
     ):
         self.system, self._tell, self.budget = system, solved, budget
-        self._windows: dict[tuple[int, int, bool, bool, bool], ConeWindow] = {}
+        self._windows: dict[tuple[int, int, bool, bool, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
         self.solves = 0
-        self._enough: set[int] = set()
-        """Depths that twice as many samples did not improve on."""
+        self._repeats = False  # whether what has gone on for ever may change within a period of the samples
+        self._enough: set[int] = set()  # depths that twice as many samples did not improve on
         self.directions = directions
         self.adversaries: list[list[Adversary]] = [[] for _ in range(len(system.samples))]
-        undriven = system.lasting is not None and system.lasting.undriven
-        self._forgets = system.start is None and not undriven
+        self._forgets = system.start is None and not system.undriven
         self.follows = self._forgets and system.D.size >= FOLLOWED
         self._tail = min(system.memory, TAIL) if self.follows else 1
         self._long = self._forgets and system.memory > LASTING and boxed(system, list(range(len(system))))
@@ -146,12 +144,14 @@ class GainSearch:
 
     def window(self, j: int, count: int, from_zero: bool, rough: bool = True, lasting: bool = False) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
-        key = (j, count, from_zero, rough, lasting)
+        repeats = lasting and self._repeats and not rough
+        key = (j, count, from_zero, rough, lasting, repeats)
         if key not in self._windows:
             system = self._coarse if rough else self.system
-            begun = system.lasting if lasting else None
+            nodes, start = self.past(j, count, from_zero)
+            begun = (system.repeating(nodes[0]) if repeats else system.lasting) if lasting else None
             tolerance = ROUGH if rough and self.follows and not from_zero else TOLERANCE
-            self._windows[key] = ConeWindow(system, *self.past(j, count, from_zero), tolerance, begun)
+            self._windows[key] = ConeWindow(system, nodes, start, tolerance, begun)
         return self._windows[key]
 
     def gains(self, j: int, mu: Array, enough: float = 0.0) -> Gains:
@@ -204,8 +204,8 @@ class GainSearch:
         """
         self.solves += 1
         self._tell()
-        lasting = self.system.lasting
-        from_rest = lasting is None or (bool(self.system.G.any()) and not lasting.undriven)
+        system, lasting = self.system, self.system.lasting
+        from_rest = lasting is None or (bool(system.G.any()) and not system.undriven)
         gains, adversary = self.window(j, self.deep, from_rest, rough, not from_rest).both(mu)
         if from_rest and lasting is not None and adversary.value <= 0:
             from_rest = False
@@ -247,10 +247,17 @@ class GainSearch:
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
-        steps = [self._deeper, self._longer, self._finer]
+        steps = [self._repeated, self._deeper, self._longer, self._finer]
         if self._long:  # windows are as long as the filter's memory already
             steps.reverse()
         return any(step(j, mu, best, below, rtol) for step in steps)
+
+    def _repeated(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether what has gone on for ever does that changes within a period of the samples."""
+        if self._repeats or not self.system.undriven:
+            return False
+        self._repeats = True
+        return self.oppose(j, mu)[1].value > below * (1 + rtol / 8)
 
     def _deeper(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether adversaries that start earlier do."""
@@ -266,8 +273,8 @@ class GainSearch:
 
     def _longer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether gains of more samples do; what nothing drives may need all that its filter remembers."""
-        undriven = self.system.lasting is not None and self.system.lasting.undriven
-        back, most = self.back, (LONGEST if below > 0 else FADING) if undriven else self.deep
+        back, undriven = self.back, self.system.undriven
+        most = (LONGEST if below > 0 else FADING) if undriven else self.deep
         worth = max(best * rtol / 8, (best - below) * CLOSER * undriven)
         for longer in sorted({2 * back, min(self.system.memory, FADING)} if undriven else {2 * back}):
             if back < longer <= most:

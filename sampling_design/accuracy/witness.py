@@ -13,10 +13,10 @@ import numpy as np
 from sampling_design.accuracy.adversary_program import Adversary
 from sampling_design.accuracy.between_samples import NEGLIGIBLE, RowBetweenSamples
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
+from sampling_design.accuracy.lasting import AMONG, LastingTrajectory, beyond
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
-from sampling_design.accuracy.unknown_start import AMONG, LastingTrajectory, beyond
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -246,11 +246,14 @@ def _least_change(rows: Array, wanted: Array) -> Array:
     return products(np.swapaxes(V, 1, 2), part)
 
 
-def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:
+def attains(
+    witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None, gaps: Array | None = None
+) -> tuple[float, float]:
     """Return row'x at the end of a witness simulated anew, and the factor by which w, v and start exceed their bounds.
 
     Without `initial` the schedule is endless and the witness starts from rest, or from what has gone on for ever
-    within the bounds; with it, one that starts at the first node may start anywhere in that set.
+    within the bounds, in time with `gaps` (N,) behind the samples unless it is constant; with it, one that starts at
+    the first node may start anywhere in that set.
     """
     v, x, moved = witness.simulate(bounds.w)  # an entry that the witness hardly uses may close a gap, too
     period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
@@ -261,8 +264,8 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     elif initial is not None and (witness.states[0].any() or witness.last + 1 < len(v)):
         legal = False
     elif witness.past is not None:
-        ends = np.abs(witness.states[0] - witness.past.state) <= AMONG * np.abs(witness.past.x).sum(axis=1)
-        begun = witness.past.excess(witness.plant, bounds) if ends.all() else np.inf
+        ends = np.abs(witness.states[0] - witness.past.state) <= AMONG * np.abs(witness.past.x[-1]).sum(axis=1)
+        begun = witness.past.excess(witness.plant, bounds, gaps, period[0]) if ends.all() else np.inf
     elif witness.states[0].any():
         legal = False
     if not legal or np.isnan(moved).any():
@@ -394,10 +397,10 @@ def admissible(witness: AccuracyWitness, question: AccuracyQuestion) -> Accuracy
 def _within(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWitness:
     closed = witness.simulate(question.bounds.w).w
     witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
-    value, excess = attains(witness, question.bounds, question.initial)
+    value, excess = attains(witness, question.bounds, question.initial, question.gaps)
     witness = witness.within(excess, value)
     for k in range(1, SHRUNK):  # a smaller one is simulated anew, and other rounding closes its gaps
-        value, excess = attains(witness, question.bounds, question.initial)
+        value, excess = attains(witness, question.bounds, question.initial, question.gaps)
         if excess <= 1 + KEPT / 2 or not witness.value:
             return replace(witness, value=value)
         witness = witness.within(1 + (excess - 1) * 2.0**k, value)

@@ -10,7 +10,7 @@ from sampling_design.accuracy import finite
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gains import Gains
-from sampling_design.accuracy.unknown_start import LastingResponses
+from sampling_design.accuracy.lasting import LastingResponses
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import ConeSolver

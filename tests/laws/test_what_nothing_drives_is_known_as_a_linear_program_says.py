@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.accuracy.search import GainSearch
+from sampling_design.accuracy.witness import attains
 from tests.cases import few
 from tests.oracles.accuracy import adversary, flown, undriven
 
@@ -206,3 +207,76 @@ def test_what_decays_beside_what_no_sample_shows_is_known_in_the_end(seed):
         assert np.isfinite(found.upper).tolist() == np.isfinite(stds).tolist() == decays.tolist()
         assert found.verify()
         assert w or not (found.upper[decays].any() or stds[decays].any())
+
+
+def drawn(seed, unit):
+    """An oscillator that nothing drives beside two states that w drives, in coordinates of any units."""
+    rng = np.random.default_rng([31, seed])
+    turn, sizes = rng.uniform(0.5, 4), np.array([1.0, unit, 1 / unit, 1.0])
+    A, G = np.zeros((4, 4)), np.eye(4)[:, 3:]
+    A[0, 1], A[1, 0], A[2, 3], A[3, 3] = turn, -turn, 1.0, -rng.choice([0.0, 0.6])
+    C, T = rng.standard_normal((1 + seed % 2, 4)), np.linalg.qr(rng.standard_normal((4, 4)))[0]
+    A, G, C = sizes[:, None] * (T @ A @ T.T) / sizes, sizes[:, None] * (T @ G), C @ T.T / sizes
+    schedule = sd.PeriodicSchedule.from_times(np.sort(rng.uniform(0, 3, 4)), 3.0)
+    return sd.Plant(A, C, G=G), schedule, sizes, rng.uniform(0.2, 1.0, 2)
+
+
+def flown_past(found, witness, periods):
+    """x and w of a past at the samples and on the cells of so many periods, from its first sample, by other formulas.
+
+    w is a signal that moves by itself, e^{mu t} of each amplitude; x follows from the first state alone.
+    """
+    past, plant = witness.past, witness.plant
+    count, cells = past.w.shape[:2]
+    first = (witness.last - len(witness.samples) + 1) % count
+    gaps = np.roll(np.diff(found.question.nodes, append=found.question.end), -first - 1)
+    exponents = past.rates.real + 1j * past.multiples * past.rates.imag
+    n, q = plant.A.shape[0], plant.G.shape[1]
+    x, shown, signals = np.zeros(n), [], []
+    for m, mu in enumerate(exponents):
+        move = np.block([[plant.A, plant.G], [np.zeros((q, n)), mu * np.eye(q)]])
+        steps = [expm(move * gap / cells) for gap in gaps]
+        age = gaps.sum() * periods
+        states, now = [past.x[-1, :, m] * np.exp(-mu * age)], []
+        for k in np.roll(np.arange(count), 1).tolist() * periods:
+            for cell in range(cells):
+                w = past.w[k, cell, :, m] * np.exp(-mu * age)
+                both = steps[k] @ np.concatenate([states[-1], w])
+                states.append(both[:n])
+                age -= gaps[k] / cells
+                now += [w, both[n:]]
+        x = x + states[-1].real
+        shown.append(np.array(states).real[::cells] @ plant.C.T)
+        signals.append(np.array(now).real)
+    return x, np.sum(shown, axis=0), np.sum(signals, axis=0)
+
+
+@pytest.mark.parametrize(("seed", "unit"), few(product([0, 2, 7], [1.0, 1e6]), 1))
+def test_what_hides_a_mode_may_change_within_a_period(seed, unit):
+    """Both sides meet; the past keeps its bounds however long it has gone on, and no other is taken for it."""
+    plant, schedule, sizes, (w, v) = drawn(seed, unit)
+    row = np.array([[0.3, 1.0, -0.5, 0.7]]) / sizes
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of=row)
+    assert found.upper[0] <= 1.06 * found.lower[0]
+    assert found.verify()
+    (witness,) = found.witnesses
+    past = witness.past
+    x, shown, signals = flown_past(found, witness, 20)
+    assert np.all(np.linalg.norm(shown, axis=1) <= v * (1 + 1e-6))
+    assert np.all(np.linalg.norm(signals, axis=1) <= w * (1 + 1e-6))
+    assert np.all(np.abs(x - witness.states[0]) <= 1e-7 * np.abs(past.x[-1]).sum(axis=1))
+    spoilt_x, spoilt_w = past.x.copy(), past.w.copy()
+    spoilt_x[0] *= 0.9
+    spoilt_w[0, 0] *= 0.9
+    for forged in (
+        past.scaled(1.1),
+        replace(past, x=spoilt_x),
+        replace(past, w=spoilt_w),
+        replace(past, x=np.roll(past.x, 1, axis=0), w=np.roll(past.w, 1, axis=0)),
+        replace(past, x=past.x[-1:], w=past.w[-1:, -1:]),
+        replace(past, x=past.x[1:], w=past.w[1:]),
+        replace(past, rates=1.1 * past.rates),
+    ):
+        begun = replace(witness, past=forged, states=np.vstack([forged.state, witness.states[1:]]))
+        assert attains(begun, found.bounds, None, found.question.gaps)[1] > 1.01
+    assert not replace(found, witnesses=(begun,)).verify()

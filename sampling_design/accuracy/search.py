@@ -19,19 +19,12 @@ from sampling_design.records.budget import ENDLESS, Budget
 
 FINEST = 1e-5  # least share that a disturbance constant on cells may lose by the curvature of e^{As}G
 
-COARSE = 2e-2
-"""That share where only gains are wanted: what they prove is second order in it, and does not depend on cells."""
-
-SHARE = 0.75
-"""Share of the tolerance within which both sides of one target must meet; the rest is for the time between targets."""
-
+COARSE = 2e-2  # the same where only gains are wanted: what they prove is second order in it, whatever the cells
+SHARE = 0.75  # of the tolerance, within which both sides of one target must meet; the rest is for times between targets
 PROFILE = 1.05  # ratio of the two bounds at which a gap's profile counts as known
 APART = 20.0  # ratio of the two bounds from which on one adversary of its own is sought for a row, whatever is left
 FILLED = 24  # offsets solved for the profile of one row, though two for each gap at least
-
-ADVERSARIES = (8, 32)
-"""Those sought for the profile of one row, where one of them is a large program and where it is a small one."""
-
+ADVERSARIES = (8, 32)  # sought for the profile of one row, where one of them is a large program and a small one
 ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
 SMALL = 20000  # states times states and entries of w, all along the window, of a small program
 TAIL = 64  # samples back to which gains that are put together go on as the filter's, at most
@@ -56,16 +49,11 @@ class RowSearch:
 
     row: Array
     opened: dict[int, RowBetweenSamples]
-    nodes: dict[int, Array]
-    """Bounds at the offsets of each gap."""
-    panels: dict[int, Array]
-    """Bounds all along its panels."""
-    solved: dict[int, dict[int, int]]
-    """Offsets at which the program was solved, with the samples back that it took."""
-    tried: set[tuple[int, int]] = field(default_factory=set)
-    """Where an adversary was sought."""
-    combined: set[tuple[int, int]] = field(default_factory=set)
-    """Where gains of directions were put together."""
+    nodes: dict[int, Array]  # bounds at the offsets of each gap
+    panels: dict[int, Array]  # bounds all along its panels
+    solved: dict[int, dict[int, int]]  # offsets at which the program was solved, with the samples back that it took
+    tried: set[tuple[int, int]] = field(default_factory=set)  # where an adversary was sought
+    combined: set[tuple[int, int]] = field(default_factory=set)  # where gains of directions were put together
     lower: float = 0.0
     upper: float = np.inf
     worst: tuple[int, int] = (0, 0)

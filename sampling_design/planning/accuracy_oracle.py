@@ -347,6 +347,12 @@ class AccuracyOracle:
         long = np.flatnonzero(np.diff(knots) > self.discrete.longest)
         return knots[long[-1] + 1 :] if long.size else knots
 
+    def look_back(self, chosen: Mask) -> None:
+        """Find how far back matters of a choice, from its longest gap; nothing where it hides what never decays."""
+        goals = self.problem.guaranteed
+        if goals and self.hidden(chosen) is None and (spans := self.spans(chosen)):
+            self._look_back(chosen, max(spans, key=lambda span: span.length), goals)
+
     def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> GridWindow:
         """Find how far back matters, as far as work lasts, and the window of that."""
         before, back = np.zeros(len(goals)), 2 * span.length

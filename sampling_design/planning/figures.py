@@ -229,7 +229,7 @@ class PlanFigures(TableRecord, PlainRecord):
 
     def _judging(self, work: Budget) -> AccuracyOracle:
         oracle = AccuracyOracle(self.problem, discretize(self.problem, work), work)
-        oracle.judge(self.chosen)
+        oracle.look_back(self.chosen)
         return oracle
 
     def count(self, work: Budget) -> None:

@@ -247,6 +247,9 @@ def made(kind: str, length: int) -> object:
         case "report":
             plan = sd.PeriodicSchedule([1.0], time_unit="min")
             return sd.validate(of, plan, estimator=ESTIMATORS["window"](of), runs=4, duration=length, rng=0, **BOUNDS)
+        case "trials":
+            plan = sd.PeriodicSchedule([1.0], time_unit="min")
+            return sd.validate(of, plan, estimator=OpenLoop(of), runs=length, duration=5.0, rng=0, **BOUNDS)
     return recorded(length) if kind == "record" else planned(length)
 
 
@@ -368,7 +371,10 @@ VERBS = {
 ROWS = {"regular": {"regular": True}, "3 outputs": {"outputs": 3}, "dates": {"dated": True}, "inputs": {"inputs": 1}}
 MIXED = ROWS | {"mixed": {"mixed": True}}
 PLANS = {"regular": {"regular": True}, "finite": {"finite": True}}
-KINDS = {kind: {"kind": kind} for kind in ("schedule", "estimates", "certificate", "log", "sigma", "report")}
+KINDS = {
+    kind: {"kind": kind}
+    for kind in ("schedule", "estimates", "certificate", "log", "sigma", "report", "trials", "interval")
+}
 LENGTHS = {
     "run": Verb(ran, ROWS | {name: {"by": name} for name in ESTIMATORS}, lengths=True),
     "smooth": Verb(of_record(lambda known: ESTIMATORS["filter"](known.plant).smooth(known)), ROWS, lengths=True),
@@ -405,7 +411,34 @@ LENGTHS = {
         of_schedule(lambda known: sd.window_sigma(recorded(1).plant, known, 7.0)), PLANS, lengths=True
     ),
     "picture": Verb(of_result(lambda known: plotting.save(known, folder() / "picture.svg")), KINDS, lengths=True),
-    "words": Verb(of_result(said), KINDS | {"interval": {"kind": "interval"}}, lengths=True),
+    "words": Verb(of_result(said), KINDS, lengths=True),
+    "trials": Verb(
+        lambda length: (
+            lambda: sd.validate(
+                recorded(1).plant,
+                sd.PeriodicSchedule([1.0]),
+                estimator=OpenLoop(recorded(1).plant),
+                runs=length,
+                duration=5.0,
+                rng=0,
+                **BOUNDS,
+            )
+        ),
+        {},
+        lengths=True,
+    ),
+    "log": Verb(
+        lambda length, window=7.0: (
+            lambda: sd.compare_schedule(
+                recorded(1).plant,
+                sd.PeriodicSchedule([1.0], time_unit="min"),
+                times(length, True) + 0.05,
+                window=window,
+            )
+        ),
+        {"long window": {"window": 50.0}},
+        lengths=True,
+    ),
     "proof": Verb(
         of_result(lambda known: known.verify(), "certificate"), {"interval": {"kind": "interval"}}, lengths=True
     ),

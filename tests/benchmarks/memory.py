@@ -1,5 +1,5 @@
 """What the commands take: most memory and processor time of each, on the example of its help, on the largest of the
-examples, and on long records.
+examples, and on long records; and what verbs of Python take of large inputs.
 
 python -m tests.benchmarks.memory [ROW ...] writes docs/memory.md, or those rows in it
 """
@@ -67,13 +67,38 @@ def recorded(command: str, rows: int, path: Path) -> None:
                 file.write(f"{t!r},{y!r},0.0\n")
 
 
-def spent(arguments: list[str], folder: Path) -> tuple[str, str]:
-    """Processor seconds and the most memory, in MB, of one run of the command line; of several processes the largest.
+CALLS = {
+    "`run` of 100,000 rows, a filter": 'ran(100_000, "filter")',
+    "`run` of 100,000 rows, a moving horizon": "ran(100_000)",
+    "`smooth` of 30,000 rows": 'VERBS["smooth"].ready(30_000)',
+    "`state_interval` of 5,000 rows": 'VERBS["state interval"].ready(5_000)',
+    "`state_interval` of 5,000 rows, any start": "interval(2, 5_000, 1, False)",
+    "`window_sigma` of 100,000 samples": 'VERBS["sigma of all"].ready(100_000)',
+    "`window_sigma` of 200 states, 200 samples": "sigma(200, 200, 50)",
+    "`compare_schedule` of 100,000 samples": 'VERBS["log"].ready(100_000)',
+    "`validate`, 1,000 trials": 'VERBS["trials"].ready(1_000)',
+}
+"""Verbs of `jumps.py`, made ready for large inputs."""
+
+
+def measured(name: str) -> list[str]:
+    """The same of one call in Python."""
+    seconds, size = spent(["-c", f"from tests.benchmarks.jumps import *\n{CALLS[name]}()"], HERE)
+    return [seconds, size]
+
+
+def commanded(arguments: list[str], folder: Path) -> tuple[str, str]:
+    """What one run of the command line takes."""
+    return spent(["-m", "sampling_design", *arguments], folder)
+
+
+def spent(words: list[str], folder: Path) -> tuple[str, str]:
+    """Processor seconds and the most memory, in MB, of one run of Python; of several processes the largest.
 
     This process stays small: what it holds when it starts another counts for that one.
     """
     environment = {**os.environ, "PYTHONPATH": str(HERE), "OPENBLAS_NUM_THREADS": "1"}
-    command = ["timeout", str(LONGEST), sys.executable, "-m", "sampling_design", *arguments]
+    command = ["timeout", str(LONGEST), sys.executable, *words]
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=folder, env=environment
     ) as process:
@@ -81,7 +106,7 @@ def spent(arguments: list[str], folder: Path) -> tuple[str, str]:
         told = process.stderr.read()
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode in (0, 1, 3), (arguments, process.returncode, told[-300:])
+    assert process.returncode in (0, 1, 3), (words, process.returncode, told[-300:])
     return f"{used.ru_utime + used.ru_stime:.1f}", f"{used.ru_maxrss / 1024:.0f}"
 
 
@@ -98,18 +123,18 @@ def folder(_: str) -> Path:
     """A folder with the examples, in which the commands of one table follow each other."""
     made = Path(tempfile.mkdtemp(prefix="memory-"))
     (made / "examples").symlink_to(HERE / "examples")
-    spent([*shlex.split(f"design {ORBITS} --branches 0 -o out/orbit")], made)
+    commanded([*shlex.split(f"design {ORBITS} --branches 0 -o out/orbit")], made)
     return made
 
 
 def of_help(command: str) -> list[str]:
     line = example(command)
-    return [f"`{line}`", *spent([*shlex.split(line), *ENDING.get(command, [])], folder("help"))]
+    return [f"`{line}`", *commanded([*shlex.split(line), *ENDING.get(command, [])], folder("help"))]
 
 
 def of_largest(command: str) -> list[str]:
     line = LARGEST[command]
-    return [f"`{line}`", *spent([*shlex.split(line), *ENDING.get(command, [])], folder("largest"))]
+    return [f"`{line}`", *commanded([*shlex.split(line), *ENDING.get(command, [])], folder("largest"))]
 
 
 def of_record(name: str) -> list[str]:
@@ -118,7 +143,7 @@ def of_record(name: str) -> list[str]:
     recorded(command, rows, place / "record.csv")
     (place / "schedule.csv").write_text(SCHEDULE)
     plan = ["schedule.csv"] if command == "compare" else []
-    seconds, size = spent([command, str(OSCILLATOR), *plan, "record.csv", "-o", "out"], place)
+    seconds, size = commanded([command, str(OSCILLATOR), *plan, "record.csv", "-o", "out"], place)
     return [seconds, f"{1e6 * float(seconds) / rows:.0f}", size]
 
 
@@ -138,6 +163,7 @@ TABLES = (
         of_record,
         "**Long records** of two states, with pictures and files.",
     ),
+    Table(("large input", "CPU s", "MB"), tuple(CALLS), measured, "**In Python**, of two states where none are named."),
 )
 PAGE = MeasuredPage(
     "memory.md",

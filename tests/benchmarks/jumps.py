@@ -371,10 +371,7 @@ VERBS = {
 ROWS = {"regular": {"regular": True}, "3 outputs": {"outputs": 3}, "dates": {"dated": True}, "inputs": {"inputs": 1}}
 MIXED = ROWS | {"mixed": {"mixed": True}}
 PLANS = {"regular": {"regular": True}, "finite": {"finite": True}}
-KINDS = {
-    kind: {"kind": kind}
-    for kind in ("schedule", "estimates", "certificate", "log", "sigma", "report", "trials", "interval")
-}
+KINDS = {kind: {"kind": kind} for kind in ("schedule", "estimates", "certificate", "log", "sigma", "report", "trials")}
 LENGTHS = {
     "run": Verb(ran, ROWS | {name: {"by": name} for name in ESTIMATORS}, lengths=True),
     "smooth": Verb(of_record(lambda known: ESTIMATORS["filter"](known.plant).smooth(known)), ROWS, lengths=True),
@@ -411,7 +408,7 @@ LENGTHS = {
         of_schedule(lambda known: sd.window_sigma(recorded(1).plant, known, 7.0)), PLANS, lengths=True
     ),
     "picture": Verb(of_result(lambda known: plotting.save(known, folder() / "picture.svg")), KINDS, lengths=True),
-    "words": Verb(of_result(said), KINDS, lengths=True),
+    "words": Verb(of_result(said), KINDS | {"interval": {"kind": "interval"}}, lengths=True),
     "trials": Verb(
         lambda length: (
             lambda: sd.validate(
@@ -441,6 +438,11 @@ LENGTHS = {
     ),
     "proof": Verb(
         of_result(lambda known: known.verify(), "certificate"), {"interval": {"kind": "interval"}}, lengths=True
+    ),
+    "interval file": Verb(
+        of_result(lambda known: type(known).read(known.save(folder() / "interval.json")), "interval"),
+        {},
+        lengths=True,
     ),
     "interval checked": Verb(of_result(lambda known: known.verify(rigorous=True), "interval"), {}, lengths=True),
     "radii of all": Verb(

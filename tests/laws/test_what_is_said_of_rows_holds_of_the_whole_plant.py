@@ -193,22 +193,6 @@ def test_other_kinds_of_plants_refuse_rows_in_a_sentence():
         NonlinearMovingHorizonEstimator(van_der_pol(), of="x1")
 
 
-@pytest.mark.parametrize("seed", few(range(40), 2, 7))
-def test_existence_has_the_same_answer_for_all_states_named_or_not(seed):
-    """Rows that hold a mode which no output shows have no certificate: that answers the question, and is no error."""
-    rng = np.random.default_rng(seed)
-    rates, shown = rng.uniform(-0.6, 0.3, 4), rng.random(4) < 0.7
-    plant, eta = Plant(np.diag(rates), rng.normal(size=(1, 4)) * shown), rng.uniform(0.1, 0.8)
-    answers = [bool(certificate_exists(plant, EVERY_SECOND, eta, of=of)) for of in (None, plant.states.names)]
-    decided = shown | (rates < -eta / 2)
-    assert answers == [decided.all()] * 2
-    for name, known in zip(plant.states.names, decided, strict=True):
-        found = certificate_exists(plant, EVERY_SECOND, eta, of=name)
-        assert bool(found) == known
-        assert known or f"{name}, into which a mode enters that no output shows" in found.explain()
-        assert certificate_exists(plant, Schedule([0.0, 1.0]), eta, of=name)
-
-
 def test_what_a_part_of_a_part_says_is_said_of_the_whole(tmp_path):
     part = functional_plant(THREE, "x1")
     inner = functional_plant(part, [[1.0, 2.0]])

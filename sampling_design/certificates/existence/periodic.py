@@ -7,7 +7,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from sampling_design.errors import CertificateError, NotDetectableError, UndecidedError
+from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.numerics.balancing import balance, balanced, balanced_rows
 from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import expm_batch, positive_or_one
@@ -118,6 +118,9 @@ def certificate_exists(
 
     Raises
     ------
+    NotDetectableError
+        If rows are asked for, all states by name among them, into which a mode enters that no output shows and that
+        does not decay at the rate: no schedule could be an answer. Of all states, unnamed, the answer is no.
     UndecidedError
         If the lifted pair misses a mode as far as rounding can tell, and yet the filter's covariance stays bounded; or
         the samples are so dense that two modes that longer periods tell apart are one to rounding; or, over a box, the
@@ -144,19 +147,13 @@ def certificate_exists(
     >>> certificate_exists(oscillator, PeriodicSchedule([np.pi]), 0.4).exists
     False
     """
-    schedule, hidden = align(plant, schedule), None
-    try:
-        plant = part_for(plant, of, decay_rate=eta)
-    except NotDetectableError as error:  # of rows, or of all states: a question that has an answer
-        hidden = error
+    plant = part_for(plant, of, decay_rate=eta)
+    schedule = align(plant, schedule)
     if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
     existence = judged(plant, schedule, eta)
     if existence.exists:
         return existence
-    if hidden is not None:
-        mode, reason = complex(hidden.eigenvalues[0]), str(hidden).removesuffix(".")
-        return Existence(False, 0.0, mode, period=schedule.period, reason=reason)
     question = f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided"
     if turn := too_dense(plant, schedule, eta, existence):
         raise UndecidedError(

@@ -255,7 +255,6 @@ class _Planning:
     def _cheapest(self) -> tuple[ProvenChoice, bool]:
         """The least cost that keeps every tolerance, or nearly so, and whether that is what was sought last."""
         search, late = self.search, self.problem.timing_tolerance
-        self.progress.say("searching")
         self._require_detectable()
         worst, trajectories = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(trajectories, 0.0 if self.oracle.few else 1.0)
@@ -393,7 +392,6 @@ class _Planning:
     def _most_accurate(self) -> ProvenChoice:
         """The least ratio of accuracy to tolerance that the limits allow, as far as the search comes."""
         search = self.search
-        self.progress.say("searching")
         self._require_detectable()
         search.starts = self.started()
         for chosen in [self._detecting(sparse(self.problem)), *search.starts]:

@@ -171,7 +171,7 @@ def check_detectability(
     dt : float, optional
         The disturbances are constant on pieces of this length [time]; default duration/40.
     pairs : int
-        A hundred take about 2.5 s of processor time where there are two to four states.
+        A hundred take about 2.5 s of processor time with two to four states, and 9 s with six.
     u : (m,) array, optional
         Constant input; default 0.
     rng : numpy.random.Generator or its seed, optional

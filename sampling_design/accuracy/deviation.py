@@ -172,7 +172,8 @@ def deviations(
     W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
     ends = (None, None) if schedule.endless else (float(question.nodes[0]), question.end)
     question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
-    known = question.lasting()  # of what nothing drives and what decays, an endless past has left nothing
+    # of what no noise reaches, an endless past has left what grows; an exact sensor's filter finds that by itself
+    known = question.lasting(psd_root(W) if np.all(v > 0) else None)
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
     curves = _DeviationCurves(question, known.plant, W, known.moving) if safe else None
     lengths = question.gaps

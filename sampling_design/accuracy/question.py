@@ -177,16 +177,19 @@ class AccuracyQuestion:
             return DetectablePart(self.plant, np.eye(n), np.zeros((n, 0)), ())
         return self._known_of(self.plant)
 
-    def lasting(self) -> DetectablePart:
-        """The same without what an endless past has left nothing of: where nothing drives the plant, what decays."""
-        driven = self.plant.G * self.bounds.w
-        if self.schedule.endless and not driven.any() and self.bounds.w_centre is None:
-            left = lasting_part(self.plant, float(self.end - self.nodes[0]))
-            if left is not None:
-                known = self._known_of(left.plant)
-                lift, unknown = left.lift @ known.lift, left.lift @ known.unknown
-                return DetectablePart(known.plant, lift, unknown, known.modes, known.moving)
-        return self.known()
+    def lasting(self, noise: Array | None = None) -> DetectablePart:
+        """The same without what an endless past has left nothing of: where nothing drives the plant, what decays.
+
+        With white noise of root `noise` (q, k) in place of w, what it does not reach and what does not grow.
+        """
+        known, driven = self.known(), self.plant.G * self.bounds.w
+        if not self.schedule.endless or known.moving is not None or not known.plant.n_states:
+            return known
+        if noise is None and (driven.any() or self.bounds.w_centre is not None):
+            return known
+        reached = None if noise is None else known.plant.G @ noise
+        left = lasting_part(known.plant, float(self.end - self.nodes[0]), reached)
+        return known if left is None else replace(known, plant=left.plant, lift=known.lift @ left.lift)
 
     def _known_of(self, plant: Plant) -> DetectablePart:
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -95,20 +95,45 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) 
     return DetectablePart(reduced, d[:, None] * N, d[:, None] * U, open_modes(plant.A, d[:, None] * U))
 
 
-def lasting_part(plant: Plant, period: float) -> DetectablePart | None:
-    """Return what is left for ever of a plant that nothing drives: what does not decay; None if that is all of it."""
+def lasting_part(plant: Plant, period: float, noise: Array | None = None) -> DetectablePart | None:
+    """Return what an endless past leaves of a plant whose samples show what does not decay; None if that is all of it.
+
+    Where nothing drives it, what does not decay. Where white `noise` (n, k) does, the states that it reaches and what
+    grows by itself: of all else information grows without bound.
+    """
     d = balanced_schur(plant.A).d
     A = plant.A * d / d[:, None]
-    values = [complex(cluster.value) for cluster in eigenvalue_clusters(plant.A)]
-    least = max(DECAYS / period, DECAYED * float(np.linalg.norm(A, 2)))
-    lasting = [value for value in values if value.real >= -least]
-    if len(lasting) == len(values):
+    values, size = [complex(cluster.value) for cluster in eigenvalue_clusters(plant.A)], float(np.linalg.norm(A, 2))
+    least = max(DECAYS / period, DECAYED * size)
+    driven = np.zeros((len(A), 0)) if noise is None else noise / d[:, None]
+    driven = driven / np.where(driven.any(axis=0), np.linalg.norm(driven, axis=0), 1.0)
+    gone, growing = [np.zeros((len(A), 0))], [np.zeros((len(A), 0))]
+    for value in values:
+        if noise is not None or value.real < -least:
+            left = _invariant(A.T, [value], values)
+            step = (left.conj().T @ A.T @ left - value * np.eye(left.shape[1])) / (size or 1.0)
+            rows = [driven.T @ left]
+            for _ in range(left.shape[1] - 1):
+                rows.append(rows[-1] @ step)
+            sizes, right = right_directions(np.vstack(rows))
+            unreached = left @ right[np.count_nonzero(sizes > UNOBSERVABLE) :].conj().T
+            (growing if value.real > least else gone).extend([unreached.real, unreached.imag])
+    across, rank = _spanned(np.hstack(gone))
+    if not rank and not any(each.size for each in growing):
         return None
-    X = _invariant(A, lasting, values) if lasting else np.zeros((plant.n_states, 0))
-    U = _cleaned(np.linalg.svd(np.hstack([X.real, X.imag]), full_matrices=False)[0][:, : X.shape[1]])
+    above, many = _spanned(across[:, rank:].T @ np.hstack(growing))
+    U = _cleaned(across[:, rank:] @ above)  # what grows and no noise reaches, then what it reaches
     names = Signals([f"lasting{i + 1}" for i in range(U.shape[1])])
     reduced = replace_matrices(plant, U.T @ A @ U, plant.C * d @ U, U.T / d, names)
-    return DetectablePart(reduced, d[:, None] * U, np.zeros((plant.n_states, 0)), ())
+    A, G = reduced.A.copy(), reduced.G.copy()
+    A[:many, many:] = G[:many] = 0.0
+    return DetectablePart(replace(reduced, A=A, G=G), d[:, None] * U, np.zeros((plant.n_states, 0)), ())
+
+
+def _spanned(X: Array) -> tuple[Array, int]:
+    """Orthonormal columns, of which the first so many span the columns of X, of size one or nothing."""
+    left, sizes, _ = np.linalg.svd(X)
+    return np.asarray(left), int(np.count_nonzero(sizes > UNOBSERVABLE))
 
 
 def _cleaned(U: Array) -> Array:

@@ -1,6 +1,7 @@
 """Standard deviations for white noise: against a plain filter, in the limit, unstable, unknown, finite."""
 
 import contextlib
+from itertools import product
 
 import mpmath
 import numpy as np
@@ -336,3 +337,73 @@ def test_a_start_that_is_never_wide_enough_is_undecided(monkeypatch):
     monkeypatch.setattr(deviation, "WIDER", ())
     with pytest.raises(UndecidedError, match="the samples show some state so weakly"):
         deviation.standard_deviation(PLANT, sd.Schedule([1.0, 2.0, 3.0]), w_intensity=W, v_deviation=V)
+
+
+UNREACHED = {  # A, G, C, and the states that keep a deviation: a double integrator that nothing drives, and beside it
+    "drift": ([[0.0, 1.0], [0.0, 0.0]], [0.0, 0.0], [[1.0, 0.0]], []),
+    "level": (np.diag([0.25, 0.0, -0.5]), [0.0, 0.0, 1.0], [[1.0, 1.0, 1.0]], [0, 2]),
+    "oscillator": (
+        [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.125]],
+        [0.0, 0.0, 1.0, 0.0],
+        [[1.0, 0.0, 1.0, 1.0]],
+        [2, 3],
+    ),
+    "two drifts": (
+        [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]],
+        [0.0, 0.0, 0.0, 1.0],
+        [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+        [2, 3],
+    ),
+    "slope": ([[0.0, 1.0], [0.0, 0.0]], [1.0, 0.0], [[1.0, 0.0]], [0]),
+}
+
+
+def in_fifty_digits(A, G, C, gaps):
+    """The largest deviation of each state before a sample after 300 periods from P = 1, noise of size one."""
+    n, most = len(A), []
+    with mpmath.workdps(50):
+        A, C, steps = mpmath.matrix(A.tolist()), mpmath.matrix(C.tolist()), []
+        for h in gaps:  # Van Loan
+            both = mpmath.zeros(2 * n)
+            both[:n, :n], both[n:, n:], both[:n, n:] = -A * h, A.T * h, mpmath.matrix(np.outer(G, G).tolist()) * h
+            both = mpmath.expm(both)
+            steps.append((both[n:, n:].T, both[n:, n:].T * both[:n, n:]))
+        P = mpmath.eye(n)
+        for _ in range(300):
+            most = [mpmath.mpf(0)] * n
+            for F, W in steps:
+                gain = P * C.T * (C * P * C.T + mpmath.eye(C.rows)) ** -1
+                P = F * (P - gain * C * P) * F.T + W
+                P = (P + P.T) / 2
+                most = [max(most[i], P[i, i]) for i in range(n)]
+        return np.array([float(mpmath.sqrt(each)) for each in most])
+
+
+def of_integers(rng, n, steps):
+    """A matrix of integers whose inverse has integers, too: nothing is rounded."""
+    T, back = np.eye(n), np.eye(n)
+    for _ in range(steps):
+        (i, j), step = rng.choice(n, 2, replace=False), np.zeros((n, n))
+        step[i, j] = rng.choice([-2, -1, 1, 2])
+        T, back = (np.eye(n) + step) @ T, back @ (np.eye(n) - step)
+    return T, back
+
+
+@pytest.mark.parametrize("name", UNREACHED)
+def test_of_what_no_noise_reaches_only_what_grows_keeps_a_deviation(name):
+    """In any states of condition up to 1e6 and any units; what is known in the end is 0."""
+    A, G, C, kept = (np.array(each) for each in UNREACHED[name])
+    kept, n, gaps, wanted = kept.astype(int), len(A), [0.75, 0.5], np.zeros(len(A))
+    if kept.size:
+        wanted[kept] = in_fifty_digits(A[np.ix_(kept, kept)], G[kept], C[:, kept], gaps)
+    rng = np.random.default_rng(3)
+    for steps, unit in product((0, 6, 12, 16), (1e-9, 1.0, 1e9)):
+        T, back = of_integers(rng, n, steps)
+        u = 2.0 ** np.round(np.log2(unit) * (-1.0) ** np.arange(n))
+        plant = sd.Plant(u[:, None] * (T @ A @ back) / u, C @ back / u, G=u[:, None] * (T @ G)[:, None])
+        found = sd.accuracy.standard_deviation(
+            plant, sd.PeriodicSchedule(gaps), w_intensity=1.0, v_deviation=1.0, of=back / u
+        ).worst
+        condition = np.linalg.cond(T)
+        assert np.all(np.abs(found - wanted) <= 1e-12 * (20 + condition) * max(wanted.max(), 1.0))
+        assert name != "drift" or not found.any()

@@ -17,7 +17,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.undetectable import output_scales
 from sampling_design.numerics.cone_table import ConeTable
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -139,10 +139,8 @@ def faded(rates: Complex, gaps: Array, cells: int) -> tuple[Array, Array]:
 
 def _cell_steps(A: Array, G: Array, rate: complex, lengths: Array) -> tuple[Complex, Complex]:
     """e^{(A - rate) h} and int_0^h e^{(A - rate) s} G ds over each length h."""
-    n, q = G.shape
-    joint = np.zeros((n + q, n + q), dtype=complex)
-    joint[:n, :n], joint[:n, n:] = A - rate * np.eye(n), G
-    steps = np.asarray(expm_batch(joint, lengths)[:, :n], dtype=np.complex128)
+    n = len(A)
+    steps = np.asarray(forced_flow(A - rate * np.eye(n), G, lengths), dtype=np.complex128)
     return steps[:, :, :n], steps[:, :, n:]
 
 

@@ -85,12 +85,14 @@ def right_directions(rows: Array) -> tuple[Array, Array]:
 
 
 def forced_flow(A: Array, B: Array, times: npt.ArrayLike) -> Array:
-    """Return e^{A t} and int_0^t e^{A s} B ds side by side, (N, n, n + q), for every t in `times`; B is (n, q).
+    """Return e^{A t} and int_0^t e^{A s} B ds side by side, (N, n, n + q), for every t in `times`; A (n, n), B (n, q).
+
+    Real, or complex as A is.
 
     Columns of B far beyond A would be squared so often that beside 1 nothing is left of A: they are followed smaller.
     """
     n, q = B.shape
-    joint, longest = np.zeros((n + q, n + q)), float(np.abs(times).max(initial=0.0))
+    joint, longest = np.zeros((n + q, n + q), dtype=A.dtype), float(np.abs(times).max(initial=0.0))
     most = max(float(np.abs(A).sum(axis=0).max(initial=0.0)), 1 / longest if longest > 0 else 0.0)
     columns = np.abs(B).sum(axis=0)
     large = (columns > most) & np.isfinite(columns) & (most > 0)

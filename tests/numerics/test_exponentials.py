@@ -164,10 +164,12 @@ def test_built_once_per_matrix():
     assert exponential(2 * J) is not exponential(J)
 
 
+@pytest.mark.parametrize("turn", [0.0, 1.7j])
 @pytest.mark.parametrize("power", [30, 60, -60])
-def test_units_of_what_drives_change_nothing_of_a_flow(power):
+def test_units_of_what_drives_change_nothing_of_a_flow(power, turn):
     rng = np.random.default_rng(6)
     A, B, units = rng.standard_normal((3, 3)), rng.standard_normal((3, 2)), np.array([2.0**power, 1.0])
+    A = A - turn * np.eye(3) if turn else A
     flow, scaled = forced_flow(A, B, [0.3, 2.0]), forced_flow(A, B * units, [0.3, 2.0])
     scaled[:, :, 3:] /= units
     np.testing.assert_allclose(scaled, flow, rtol=1e-13, atol=1e-13)

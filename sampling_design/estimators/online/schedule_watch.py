@@ -209,7 +209,7 @@ class ScheduleWatch:
         return self.tolerance > 0 or samples.size < 2 or family.contains(Schedule(samples))
 
     def _longest_next(self, times: Sequence[float], end: int | None) -> float:
-        """Longest gap that may follow the times up to a place; a family that does not remember is told of none."""
+        """Longest gap that may follow the times up to a place; a family that does not remember gets none."""
         if self.family is None:
             return np.inf
         return self.family.longest_next(self._counted(times[:end]) if self.family.remembers else np.zeros(0))

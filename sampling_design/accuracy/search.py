@@ -32,7 +32,6 @@ FOLLOWED = 8  # states from which on that costs less than the programs that it s
 TOLERANCE, ROUGH = 1e-7, 1e-5  # asked of the solver: what both sides prove is second order in it; for gains alone
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
 LONGEST = 4096  # samples back beyond which the past is not followed
-GAINS, FITTED = (1e-3, 8e-5), (1e-3, 2e-8)  # counted: bounding a row by gains, fitting a gap's offsets to directions
 FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
 
 CLOSER = 0.1
@@ -149,7 +148,7 @@ class GainSearch:
         gains = self.window(j, self.back, False).gains(mu, enough)
         if self._tail > self.back:
             gains = min(gains, self.followed(j, mu, gains.gains), key=lambda one: one.value)
-        self._learn(j, mu, gains)
+        self.directions[j].add(mu, gains)
         return gains
 
     def sketch(self, j: int, mu: Array) -> None:
@@ -174,15 +173,10 @@ class GainSearch:
             if mu:
                 self.sketch(j, np.vstack(mu))
 
-    def _learn(self, j: int, mu: Array, gains: Gains) -> None:
-        """Keep gains with their direction, counted."""
-        self.budget.add(GAINS, len(gains.gains) * self.system.D.size)
-        self.directions[j].add(mu, gains)
-
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
         found, adversary = self.oppose(j, mu, rough)
-        self._learn(j, mu, gains := self.followed(j, mu, found.gains))  # when the past is endless
+        self.directions[j].add(mu, gains := self.followed(j, mu, found.gains))  # when the past is endless
         return gains, adversary
 
     def oppose(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
@@ -391,7 +385,7 @@ class GainSearch:
         if (j, offset) not in found.combined:
             found.combined.add((j, offset))
             for gains in self._guessed(found, j, offset):
-                self._learn(j, found.opened[j].mu[offset], gains)
+                self.directions[j].add(found.opened[j].mu[offset], gains)
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
@@ -415,7 +409,6 @@ class GainSearch:
         self._refresh(found, j)
 
     def _refresh(self, found: RowSearch, j: int) -> None:
-        self.budget.add(FITTED, len(found.opened[j].d) * len(self.directions[j].gains) * self.system.D.size)
         found.nodes[j], found.panels[j] = found.opened[j].bound(self.directions[j])
         found.lower = max(found.lower, self._reached(found, j))
 

@@ -56,10 +56,10 @@ class GridSpan(NamedTuple):
 class AccuracyOracle:
     """Judges choices of samples of one problem; how far back it looks is found once and kept."""
 
-    def __init__(self, problem: PlanProblem, discrete: DiscretePlant, work: Budget | None = None):
+    def __init__(self, problem: PlanProblem, discrete: DiscretePlant):
         self.problem, self.discrete = problem, discrete
         self.back = 0
-        self.work = work or Budget(counted=True)
+        self.work = Budget(counted=True)
         self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
         self.few = int(problem.allowed.sum()) <= FEW
         """Whether so little may be measured that it can be gone through one by one."""
@@ -101,9 +101,8 @@ class AccuracyOracle:
         """
         key = chosen.tobytes(), self.back, above, longest
         if key not in self._kept:
-            found = (np.inf, []) if self.hidden(chosen) is not None else self._judged(chosen, above, longest)
-            key = chosen.tobytes(), self.back, above, longest  # how far back matters may be known only now
-            self._kept[key] = found
+            hidden = self.hidden(chosen) is not None
+            self._kept[key] = (np.inf, []) if hidden else self._judged(chosen, above, longest)
             if 1 <= above < np.inf and above * (1 - MISSED) < self._kept[key][0] <= above:
                 self._kept[key] = self._closely(chosen, above, *self._kept[key])
             while len(self._kept) > REMEMBERED:
@@ -134,7 +133,7 @@ class AccuracyOracle:
                 trajectories = self._gap(chosen, span, goals, above, back)
                 found += [trajectory for trajectory in trajectories if back == depths[-1] or trajectory.reach > above]
                 worst = max([worst, *(trajectory.reach for trajectory in trajectories)])
-                if worst > above or (above == np.inf and self.work.over):
+                if worst > above:
                     return worst, found
         return worst, found
 
@@ -215,7 +214,9 @@ class AccuracyOracle:
 
     def _gap(self, chosen: Mask, span: GridSpan, goals: list[int], above: float, back: int) -> list[HiddenTrajectory]:
         """The strongest ones that end in a gap; of few measurements, up to one beyond `above`."""
-        window = self._window(chosen, span, back or self.back) if self.back else self._look_back(chosen, span, goals)
+        if not self.back:
+            self._look_back(chosen, span, goals)
+        window = self._window(chosen, span, back or self.back)
         last, length = span.last, span.length
         best: list[HiddenTrajectory] = []
         for g in sorted(goals, key=lambda g: g != self._broken_last):
@@ -317,8 +318,6 @@ class AccuracyOracle:
         within = {begin + round((length - begin) * i / QUARTERS) for i in range(1, QUARTERS)} if closely else set()
         found = dict[int, float]()
         for offset in [*dict.fromkeys(ends), *sorted(within - {*ends})]:
-            if found and above == np.inf and self.work.over:
-                return found
             row, added = self._opened(offset, g)
             if known == -np.inf or float(window.at_most(row[None])[0] + added) > known * goal.tolerance:
                 found[offset] = self.reach(window, offset, g)
@@ -347,23 +346,16 @@ class AccuracyOracle:
         long = np.flatnonzero(np.diff(knots) > self.discrete.longest)
         return knots[long[-1] + 1 :] if long.size else knots
 
-    def look_back(self, chosen: Mask) -> None:
-        """Find how far back matters of a choice, from its longest gap; nothing where it hides what never decays."""
-        goals = self.problem.guaranteed
-        if goals and self.hidden(chosen) is None and (spans := self.spans(chosen)):
-            self._look_back(chosen, max(spans, key=lambda span: span.length), goals)
-
-    def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> GridWindow:
-        """Find how far back matters, as far as work lasts, and the window of that."""
+    def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> None:
+        """Find how far back matters."""
         before, back = np.zeros(len(goals)), 2 * span.length
         while True:
             window = self._window(chosen, span, back)
             now = np.array([self.reach(window, span.length, g) for g in goals])
-            settled = np.all((now <= before * (1 + SETTLED)) & (now > 0)) or self.work.over
-            if settled or len(window.knots) >= MOST_KNOTS:
-                self.back = back
-                return window
+            if np.all((now <= before * (1 + SETTLED)) & (now > 0)) or len(window.knots) >= MOST_KNOTS:
+                break
             before, back = now, 2 * back
+        self.back = back
 
     def lengthen_past(self, chosen: Mask) -> bool:
         """Look twice as far back, and over two gaps of a choice at least, unless that is as far as can be."""

@@ -14,10 +14,8 @@ from sampling_design.accuracy.undetectable import known_part
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.numerics.linalg import forced_flow, right_directions
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
-from sampling_design.planning.search_progress import SYSTEM
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
 from sampling_design.records.units import spoken
 
@@ -181,8 +179,8 @@ def _even(rows: Array) -> Array:
     return np.asarray(rows / np.where(size > 0, size, 1.0))
 
 
-def discretize(problem: PlanProblem, work: Budget | None = None) -> DiscretePlant:
-    """Return the plant of a problem on its grid; coordinates from a spread-out schedule with every sensor; counted.
+def discretize(problem: PlanProblem) -> DiscretePlant:
+    """Return the plant of a problem on its grid; coordinates from a spread-out schedule with every sensor.
 
     Raises ArgumentError if a mode grows so much in a step of the grid that no sample helps; InfeasibleRequirementError
     if a goal depends on what no sensor ever shows.
@@ -214,8 +212,6 @@ def discretize(problem: PlanProblem, work: Budget | None = None) -> DiscretePlan
     noise = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
     read = np.isfinite(noise)
     bounds = SignalBounds.of(known.plant, count, np.tile(read, (count, 1)), bound_on_w, np.where(read, noise, 1.0))
-    if work is not None:
-        work.spend(SYSTEM[1] * count * known.plant.n_states**2)
     system = periodic_system(known.plant, gaps, bounds)
     own = system.D[:, None] * system.L[0]
     C = known.plant.C @ own

@@ -43,7 +43,7 @@ from sampling_design.planning.proven_choice import (
 )
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
-from sampling_design.planning.search_progress import AFTER, AFTERWARDS, CERTIFIED, PlanProgress
+from sampling_design.planning.search_progress import AFTER, AFTERWARDS, CERTIFIED, GAINS, PlanProgress
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -70,7 +70,7 @@ SOUGHT = 0.75
 alone, proves it and bounds the cost."""
 
 COARSER = (0.25, 1.0)
-"""By what share of itself, and how many seconds, no more than it, a budget grows for each coarser grid looked at."""
+"""By what share of itself, and how many seconds, a budget grows for each coarser grid that is looked at first."""
 
 MOST_REFUSED = 8  # choices judged to keep the tolerances, but not proven to, after which it is left at the margin
 ROUNDS = 60  # choices judged at one level
@@ -100,10 +100,9 @@ def plan_samples(
         Work of the search for choices, in seconds of an ordinary processor core, counted from the sizes of what it
         solves and never by a clock: the same plan on every machine, however busy. When it is spent, or three quarters
         of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate,
-        robustness and start) may take as much again and two seconds, at most three times as much in all, and what does
-        not fit in is left out, and said (`left_out`); of a proof that does not, what it says by then is the plan's, and
-        that may not keep the tolerances (`keeps`). Coarser grids are searched first, with as much as they would be
-        given alone; each adds a quarter and one second, at most as much. None: no limit.
+        robustness and start) may take as much again and two seconds, and what does not fit in is left out, and said
+        (`left_out`). Coarser grids are searched first, with as much as they would be given alone; each adds a quarter
+        and one second. None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
@@ -167,7 +166,6 @@ def plan_samples(
         nonlocal found
         try:
             if found.status != "interrupted":
-                work.check()
                 run.progress.say(name, AFTERWARDS)
                 return make(found, work)
         except BudgetSpentError:
@@ -200,10 +198,10 @@ class _Planning:
 
     def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, finer: _Planning | None = None):
         self.problem, self.given = problem, work
+        self.discrete = discretize(problem)
+        self.oracle = AccuracyOracle(problem, self.discrete)
         more = len(coarser_grids(problem))
-        whole = Budget(work * (1 + COARSER[0] * more) + min(COARSER[1], work) * more, counted=True)
-        self.discrete = discretize(problem, whole)
-        self.oracle = AccuracyOracle(problem, self.discrete, whole)
+        self.oracle.work.seconds = self.oracle.work.limit = work * (1 + COARSER[0] * more) + COARSER[1] * more
         own = PlanProgress(progress, problem, self.oracle.work)
         self.progress: PlanProgress = own if finer is None else finer.progress
         self.search = PlanSearch(problem, self.oracle, self.progress)
@@ -261,7 +259,7 @@ class _Planning:
         if worst > 1:
             self._refuse(trajectories)
         everything = densest(self.problem)
-        worst, trajectories = (np.inf, []) if self.oracle.work.over else self.oracle.judge(everything, longest=True)
+        worst, trajectories = self.oracle.judge(everything, longest=True)
         search.add(trajectories, 1.0)
         self.kept = worst <= 1
         if self.kept:
@@ -359,10 +357,8 @@ class _Planning:
     def _nearest(self, best: ProvenChoice) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
 
-        Raises InfeasibleRequirementError if that is above 1: it is what can be kept, unless work ended its proof.
+        Raises InfeasibleRequirementError if that is above 1: it is what can be kept.
         """
-        if best.rough and self.oracle.work.over:
-            return self._record(best, PlanBound((), None, None), False)
         rival = self._better(best, self.problem.cost(best.chosen))
         best = self.feasible.sharpest(rival.incumbents, best)
         best.require_bounded()
@@ -427,10 +423,11 @@ class _Planning:
 
     def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
-        self.progress.say("proving")
-        last = np.array_equal(chosen, densest(self.problem))  # what is left if no other is proven has all that is left
-        with self.oracle.work.extended(*AFTER[2 if last else 0]) as work:
-            return ratios_of(self.problem, chosen, work)
+        proof, ratios = ratios_of(self.problem, chosen)
+        for part in proof[0].proof if proof[0] is not None else ():
+            for gains in part.gains:
+                self.oracle.work.add(GAINS, len(gains) * self.discrete.n)
+        return proof, ratios
 
     def _require_detectable(self) -> None:
         """Refuse goals that not even all that is allowed shows.

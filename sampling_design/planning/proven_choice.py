@@ -134,11 +134,6 @@ class ProvenChoice:
         """The largest ratio."""
         return float(self.ratios.max(initial=0.0))
 
-    @property
-    def rough(self) -> bool:
-        """Whether more work may prove more of it."""
-        return self.proof[0] is not None and not self.proof[0].closed.all()
-
     def require_bounded(self) -> None:
         """Refuse a choice of which nothing is proven. Raises UndecidedError."""
         if not np.isfinite(self.worst):
@@ -153,45 +148,28 @@ class FeasibleChoices:
         self._known: dict[bytes, ProvenChoice] = {}
 
     def proven(self, chosen: Mask) -> ProvenChoice:
-        """What is proven of a choice.
-
-        Raises KeyboardInterrupt after an interrupt, with what was proven by then kept.
-        """
-        key, stopped = chosen.tobytes(), self.work.stopped
+        """What is proven of a choice."""
+        key = chosen.tobytes()
         if key not in self._known:
             self._known[key] = ProvenChoice(chosen, *self._prove(chosen))
-            if self.work.stopped and not stopped:
-                raise KeyboardInterrupt
         return self._known[key]
-
-    def _first(self, choices: list[Mask], everything: Mask) -> ProvenChoice | None:
-        """The first choice that is proven to keep the tolerances; once work ends a proof too early, all or nothing."""
-        rough = False
-        for chosen in choices:
-            if rough and chosen is not everything and chosen.tobytes() not in self._known:
-                continue
-            found = self.proven(chosen)
-            if found.worst <= 1:
-                return found
-            rough |= found.rough and self.work.over
-        return None
 
     def sharpest(self, incumbents: Iterable[tuple[Mask, float]], best: ProvenChoice) -> ProvenChoice:
         """The best of what was held, by proof; a choice judged no better than the best is not proven to be better."""
         for chosen, judged in incumbents:
-            if judged < best.worst and not (best.rough and self.work.over):
+            if judged < best.worst:
                 best = min(best, self.proven(chosen), key=lambda found: found.worst)
         return best
 
     def cheapest(self, incumbents: Iterable[Mask], everything: Mask) -> ProvenChoice:
         """The cheapest of what was held, and of all that is allowed, that is proven to keep the tolerances.
 
-        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. One that does not
-        keep them where work ended its proof; else UndecidedError if nothing is proven to.
+        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. Raises
+        UndecidedError if nothing is proven to keep them.
         """
-        cost = self.problem.cost
+        cost, best = self.problem.cost, None
         choices = sorted([*incumbents, everything], key=cost)
-        best = self._first(choices, everything)
+        best = next((found for found in map(self.proven, choices) if found.worst <= 1), None)
         for chosen in choices:
             if best is not None and (self.work.over or cost(chosen) >= cost(best.chosen)):
                 break
@@ -223,8 +201,6 @@ class FeasibleChoices:
                 best, high = found, count
             elif best is None:
                 found.require_bounded()
-                if found.rough and self.work.over:
-                    return found
                 raise UndecidedError(
                     f"No plan was proven to keep the tolerances: the densest one is proven to keep "
                     f"{found.worst:.4g} times them. Ask for less, or allow other hours."
@@ -283,16 +259,16 @@ def _filled(problem: PlanProblem, chosen: Mask, i: int) -> bool:
     return done
 
 
-def proof_of(problem: PlanProblem, chosen: Mask, work: Budget) -> GoalProofs:
-    """The proof of a choice, as far as work lasts: accuracy for what is guaranteed, and standard deviations."""
-    return accuracy_of(problem, chosen, work), deviation_of(problem, chosen)
+def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:
+    """The proof of a choice: accuracy for what is guaranteed, and standard deviations."""
+    return accuracy_of(problem, chosen), deviation_of(problem, chosen)
 
 
-def ratios_of(problem: PlanProblem, chosen: Mask, work: Budget) -> tuple[GoalProofs, Array]:
+def ratios_of(problem: PlanProblem, chosen: Mask) -> tuple[GoalProofs, Array]:
     """The same, and the ratios to the tolerances: infinite where nothing bounds what early and late samples do."""
     tolerances = np.array([goal.tolerance for goal in problem.goals])
     try:
-        proof = proof_of(problem, chosen, work)
+        proof = proof_of(problem, chosen)
     except UndecidedError:
         if not problem.timing_tolerance:
             raise
@@ -302,7 +278,7 @@ def ratios_of(problem: PlanProblem, chosen: Mask, work: Budget) -> tuple[GoalPro
 
 def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: str) -> Plan:
     """The plan of a choice, its accuracy proven."""
-    return plan_of(problem, chosen, proof_of(problem, chosen, Budget()), bound, status)
+    return plan_of(problem, chosen, proof_of(problem, chosen), bound, status)
 
 
 def plan_of(problem: PlanProblem, chosen: Mask, proof: GoalProofs, bound: PlanBound, status: str) -> Plan:

@@ -34,17 +34,18 @@ SEQUENCE = (1e-3, 5e-5)
 """The same through samples that leave a plan for a while: for each of them, with n states, n times."""
 
 RELAXED = (5e-3, 3e-6)  # of a linear program, and for each entry
+GAINS = (5e-3, 1e-4)  # of bounding a row by gains, and for each sample behind it, with n states, n times
 BETWEEN = 1e-2  # of bounding a row between two samples
 SYSTEM = (1e-2, 2e-4)  # of making a sampled system, and for each of them, with n states, n^2 times
 
 STARTED = (0.0, 5e-5)
 """The same from a plan's start on: for N samples, of which a filter with n states forgets F, n N F times."""
 
-CERTIFIED = (0.1, 0.06)  # of a certificate, and for each sample, with n states, n^2 times
+CERTIFIED = (1.5, 0.06)  # of a certificate, and for each sample, with n states, n^2 times
 
 AFTER = ((0.1, 1.0), (0.2, 1.5), (1.0, 2.0))
-"""By what share of itself, and how many seconds, though no more than it has, a budget may be exceeded: after the proofs
-of choices and of the least cost, after that of the best accuracy, and in the end."""
+"""By what share of itself, and how many seconds, a budget may be exceeded: after the proof of the least cost, after
+that of the best accuracy, and in the end."""
 
 
 SEARCHED, PROVEN, AFTERWARDS = 0.6, 0.8, 0.9

@@ -14,13 +14,13 @@ import numpy as np
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.results_out import results_in
 from sampling_design.accuracy.sampled_system import KnownSpan
-from sampling_design.accuracy.search import GAINS, GainSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle, GridSpan
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
-from sampling_design.planning.search_progress import BETWEEN, STARTED, SYSTEM
+from sampling_design.planning.search_progress import BETWEEN, GAINS, STARTED, SYSTEM
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
     SampleSequence,

@@ -23,14 +23,14 @@ from sampling_design.accuracy.sampled_system import (
     noise_units,
     refuse_growth,
 )
-from sampling_design.accuracy.search import GAINS, GainSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
 from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.numerics.filtering import covariance_root, information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.search_progress import SYSTEM
+from sampling_design.planning.search_progress import GAINS, SYSTEM
 from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, phase_of
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze

@@ -169,27 +169,12 @@ class Budget:
         self.spend(price[0] + price[1] * size)
 
     def extend(self, share: float, seconds: float, *, firm: bool = False) -> None:
-        """Let so much be spent in all beyond what was given: a share of it, and seconds, though no more than that."""
-        self.limit, self.firm = (1 + share) * self.seconds + min(seconds, self.seconds), firm
-
-    @contextmanager
-    def extended(self, share: float, seconds: float) -> Iterator[Budget]:
-        """The same for what is done within; afterwards as before, or over if it was stopped."""
-        limit, firm = self.limit, self.firm
-        self.extend(share, seconds)
-        try:
-            yield self
-        finally:
-            self.limit, self.firm = min(limit, self.limit), firm
+        """Let so much be spent in all beyond what was given: a share of it, and seconds."""
+        self.limit, self.firm = (1 + share) * self.seconds + seconds, firm
 
     def stop(self) -> None:
         """Let it be over: after an interrupt what is proven is the answer."""
         self.limit, self.firm = min(self.limit, -1.0), False
-
-    @property
-    def stopped(self) -> bool:
-        """Whether it was."""
-        return self.limit < 0
 
     def __getstate__(self) -> dict[str, object]:
         """What travels to another process or machine, whose clock counts from elsewhere."""

@@ -23,6 +23,7 @@ from sampling_design.cli.options import (
 )
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.estimate_file import check_radii
 from sampling_design.planning.plan_record import Plan
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.record import short
@@ -58,6 +59,7 @@ def estimate(
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
     if how.tube and (how.most_outliers or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
+    _ = how.most_outliers, how.radii and check_radii(how.radii)  # refused before a certificate is sought
     whole = files.plan_in(plant_file)
     full = files.plant(plant_file) if whole is None else whole.plant
     plant, schedule = settings.part(full), None

@@ -18,6 +18,7 @@ from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.plan_record import Plan
+from sampling_design.records.checks import whole
 from sampling_design.records.dates import zoned_date
 from sampling_design.records.file_io import check_columns
 from sampling_design.schedules.opening import WEEK
@@ -54,6 +55,7 @@ def plan(
     Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
     requirement, plant = files.plan_requirement(plant_file, requirement_file)
+    whole("periods", periods, 1)
     if timing_tolerance is not None:
         requirement = requirement.replace(timing_tolerance=timing(timing_tolerance))
     if settings.output is not None:  # found out before the search, not behind it

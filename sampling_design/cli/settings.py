@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -89,6 +90,7 @@ class Settings:
         bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)
     ] = False
     files: list[Path] = field(default_factory=list)
+    made: list[Path] = field(default_factory=list)
 
     def notice(self, text: str) -> None:
         """Say something on stderr unless --quiet."""
@@ -103,10 +105,19 @@ class Settings:
         if self.output is None:
             return None
         try:
+            self.made += [each for each in (self.output, *self.output.parents) if not each.exists()]
             self.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ArgumentError(f"`--output` {self.output} cannot be made a folder ({error.strerror}).") from None
+        if not os.access(self.output, os.W_OK):
+            raise ArgumentError(f"`--output` {self.output} is a folder in which nothing can be written.")
         return self.output
+
+    def leave_no_empty_folder(self) -> None:
+        """Take away the folders that were made and in which nothing was written."""
+        for each in self.made:
+            with suppress(OSError):
+                each.rmdir()
 
     @property
     def rows(self) -> list[str] | None:
@@ -238,31 +249,35 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
     common = [COMMON_FLAGS[name] for name in flags_of_this]
 
     @functools.wraps(function)
-    def command(**arguments: Any) -> None:
+    def from_flags(**arguments: Any) -> None:
         given = dict(arguments)
         flags = {name: arguments.pop(name) for name in flags_of_this}
+        settings = Settings(command_name, **flags)
         try:
+            settings.folder()  # that nothing can be written is said before the work, not after it
             if "seed" in flags:
                 whole("seed", flags["seed"])
             if "budget" in flags:
                 positive("budget", flags["budget"])
             for name, kind in groups.items():
                 arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
-            function(Settings(command_name, **flags), **arguments)
+            function(settings, **arguments)
         except ArgumentError as error:  # what is wrong in a file is named by its key
             in_file = given.get("requirement_file") is not None
             _rename(error, [p for p in parameters if not in_file or given[p.name] != p.default])
             raise
+        finally:
+            settings.leave_no_empty_folder()
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
     parameters = [*keyword, *common]
     for flag in (*keyword, *common):
         _read_in_words(flag.annotation)
     # one unbroken line to copy: the mark keeps the paragraph from being filled
-    command.__doc__ = (function.__doc__ or "").replace("    Example: ", "    \b\n    Example: ")
-    command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
-    command.__annotations__ = {p.name: p.annotation for p in keyword + common}
-    return command
+    from_flags.__doc__ = (function.__doc__ or "").replace("    Example: ", "    \b\n    Example: ")
+    from_flags.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
+    from_flags.__annotations__ = {p.name: p.annotation for p in keyword + common}
+    return from_flags
 
 
 def _as_typed(parameter: inspect.Parameter) -> str:

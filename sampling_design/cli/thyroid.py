@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Annotated
 
 import typer
 
 from sampling_design.cli.settings import Settings, record_table
+from sampling_design.records import checks
 from sampling_design.records.file_io import write_text
-
-NoiseInterpretation = StrEnum("NoiseInterpretation", ["per_second", "per_day", "per_day_slow"])
-"""How the paper's w is read."""
 
 
 def thyroid(
     settings: Settings,
     runs: Annotated[int, typer.Option(help="Noise realisations per interpretation of w.")] = 1,
     reading: Annotated[
-        list[NoiseInterpretation] | None,
-        typer.Option(help="How w is read; may be repeated. Default: per_second and per_day."),
+        list[str] | None,
+        typer.Option(
+            metavar="CASE",
+            help="How w is read: per_second, per_day or per_day_slow; repeat it for more. Default: the first two.",
+        ),
     ] = None,
     days: Annotated[float, typer.Option(help="Length of a run [d].")] = 20.0,
     degree: Annotated[int, typer.Option(help="Of the polynomials of the state on pieces of 2 h.")] = 3,
@@ -34,7 +34,7 @@ def thyroid(
     """
     from sampling_design.nonlinear import experiment  # late: the other commands need none of it
 
-    cases = ["per_second", "per_day"] if not reading else [item.value for item in reading]
+    cases = [checks.word("reading", each, experiment.CASES) for each in reading or ()] or ["per_second", "per_day"]
     folder = settings.folder()
     path = None if folder is None else folder / "runs.jsonl"
     with settings.progress("thyroid") as progress:

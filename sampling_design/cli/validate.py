@@ -27,6 +27,7 @@ from sampling_design.cli.settings import Settings, table
 from sampling_design.cli.sigma import window_length
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import split_needed, weighed_over
+from sampling_design.records.checks import positive, whole
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import below
 from sampling_design.records.units import time_factor
@@ -54,6 +55,9 @@ def validate(
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
     full = files.plant(plant_file)
+    whole("runs", runs, 1)  # before a certificate is sought
+    if duration is not None:
+        positive("duration", duration)
     plant = settings.part(full)
     schedule_file = files.schedule_path(plant_file, schedule_file)
     schedule = files.schedule_for(settings, plant, schedule_file)

@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import os
 import shutil
 from pathlib import Path
 
@@ -30,10 +31,28 @@ def test_counts():
         _counts("")
 
 
-def test_a_folder_that_cannot_be_made(tmp_path):
+def test_a_folder_that_cannot_be_made(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="cannot be made a folder"):
         Settings(output=tmp_path / "file" / "out").folder()
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    with pytest.raises(ArgumentError, match="is a folder in which nothing can be written"):
+        Settings(output=tmp_path).folder()
+
+
+@pytest.mark.parametrize(
+    "typed",
+    ["design {o} --start 2.3.2026", "pareto {o} --counts x", "plan {p} --periods 0", "next {o}", "thyroid --runs 0",
+     "thyroid --reading per_month", "estimate {o} {d} --radii wide", "estimate {o} {d} --outliers x",
+     "validate {o} {s} --runs 0", "validate {o} {s} --duration -1", "worst-case {o} --window 4 --count 3 --spacing 5"],
+)  # fmt: skip
+def test_a_command_that_is_refused_says_so_alone_and_leaves_no_folder(shell, tmp_path, typed):
+    schedule = write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "schedule.csv")
+    named = {"o": OSCILLATOR, "p": PLANS / "oscillator.toml", "d": DATA / "oscillator.csv", "s": schedule}
+    result = shell(*typed.format(**named).split(), "-o", tmp_path / "new" / "out")
+    assert result.code == (1 if "worst-case" in typed else 2)
+    assert (result.out, result.err.count("\n")) == ("", 1)
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_calendar_without_a_folder():
@@ -131,7 +150,7 @@ def test_a_schedule_is_not_read_as_measurements_of_ones(shell, tmp_path):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_an_error_names_the_flag_as_it_is_typed(command):
+def test_an_error_names_the_flag_as_it_is_typed(command, tmp_path):
     """Whatever verb refuses a value, and by whatever name: `v_bound` is typed --v-bound."""
     real = function_of(command)
     for parameter in loaded(command).params:
@@ -145,7 +164,8 @@ def test_an_error_names_the_flag_as_it_is_typed(command):
 
         refusing.__signature__ = inspect.signature(real, eval_str=True)
         wrapped = with_common_flags(refusing, command)
-        given = {each: p.default for each, p in wrapped.__signature__.parameters.items()} | {parameter.name: 3}
+        given = {each: p.default for each, p in wrapped.__signature__.parameters.items()}
+        given[parameter.name] = tmp_path if parameter.name == "output" else 3
         with pytest.raises(ArgumentError, match=rf"^`{flags[0]}` must be otherwise, got 3\.$"):
             wrapped(**given)
 

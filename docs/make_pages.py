@@ -435,7 +435,7 @@ def _is_numeric(node: ast.AST) -> bool:
 
 def floors_picture(package: Path) -> str:
     """Return an SVG: rooms on their floors, a line wherever one imports another."""
-    width, height, box = 860, 92, (170, 46)
+    width, height, box = 860, 92, (196, 46)
     top = len(FLOORS)
     places = {}
     for level, rooms in enumerate(FLOORS):
@@ -521,7 +521,7 @@ def direct(below: dict[str, set[str]]) -> dict[str, set[str]]:
 def rooms_picture(package: Path) -> str:
     """Return an SVG: inside each large room, its rooms and files on their floors, and who imports whom."""
     large = [r for floor in FLOORS for r in floor if any((package / r).glob("*/__init__.py"))]
-    width, box, step = 430, (122, 30), 62
+    width, box, step = 430, (130, 30), 62
     drawn, panels = [], []
     for k, room in enumerate(large):
         below = arrows_inside(package, room)

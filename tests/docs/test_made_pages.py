@@ -122,3 +122,11 @@ def test_the_rooms_inside_are_drawn_without_a_circle(pages):
     assert all(floor[other] < floor[here] for here, others in below.items() for other in others & set(below))
     drawn = pages.rooms_picture(package)
     assert all(f">{name}<" in drawn for name in ("gap_flows", "bounds", "worst_case", "certification.py"))
+
+
+@pytest.mark.long
+def test_what_stands_in_a_box_fits_into_it(pages):
+    drawn = pages.floors_picture(ROOT / "sampling_design") + pages.rooms_picture(ROOT / "sampling_design")
+    boxes = re.findall(r'<rect[^>]* width="(\d+)" [^>]*rx=.*font-size="(\d+)"[^>]*>([^<]+)</text>', drawn)
+    assert len(boxes) > 40
+    assert [text for wide, size, text in boxes if 0.5 * len(text) * int(size) > int(wide) - 4] == []

@@ -15,7 +15,7 @@ from sampling_design.nonlinear.thyroid import SCALING
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import plain
-from sampling_design.records.record import Record, markdown_table, short
+from sampling_design.records.record import Record, counted, markdown_table, short
 
 SCHEMES = ("standard", "sample_based")
 SPANS = {"all": 0.0, "without_start": 1e-9, "after_day_1": 1.0}
@@ -93,8 +93,8 @@ class PatientRun(Record):
         """Say how the two schemes compare in this run."""
         standard, sparse = (short(self.rmse(scheme, "without_start"), 3) for scheme in SCHEMES)
         return (
-            f"With {int(self.sampled.sum())} samples instead of {self.times.size} the scaled error after the first "
-            f"instant is {sparse} instead of {standard} (root mean square)."
+            f"With {counted(int(self.sampled.sum()), 'sample')} instead of {self.times.size} the scaled error after "
+            f"the first instant is {sparse} instead of {standard} (root mean square)."
         )
 
 

@@ -71,7 +71,7 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
     cut = np.searchsorted(profile.edges[:-1], profile.samples)  # a sample ends a curve, no line falls from it
     attained = np.insert(lower, cut, np.nan)
     times = np.insert(profile.edges[:-1], cut, profile.samples)
-    one.plot(times, attained, color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less")
+    one.plot(times, attained, color=style.ATTAINED, linewidth=1.0, linestyle="--", label="nobody guarantees less")
     late = result.known_from[k]
     if late > profile.edges[0]:
         one.axvspan(profile.edges[0], late, color=style.ALLOWED, alpha=0.3, linewidth=0)
@@ -86,7 +86,7 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             np.where(np.isfinite(curve), curve, np.nan),
             color=style.MEASURED,
             linewidth=1.0,
-            linestyle="--",
+            linestyle="-.",
             label="standard deviation",
         )
     _mark_worst(one, result, k)
@@ -117,15 +117,15 @@ def draw_projection(result: Projection, ax: Axes | None = None) -> Axes:
     one = ax if ax is not None else style.new_axes(None, height=4.5)
     turn = np.linspace(0.0, 2 * np.pi, 241)
     around = np.linalg.cholesky(result.ellipse) @ np.stack([np.cos(turn), np.sin(turn)])
-    one.plot(*around, color=style.MEASURED, linewidth=1.2, label="ellipse of a quadratic cost")
-    for corners, colour, label, fill in (
-        (result.outer, style.PROVEN, "nothing outside is possible", 0.25),
-        (result.inner, style.ATTAINED, "all inside is possible", 0.0),
+    one.plot(*around, "-.", color=style.MEASURED, linewidth=1.2, label="ellipse of a quadratic cost")
+    for corners, line, colour, label, fill in (
+        (result.outer, "-", style.PROVEN, "nothing outside is possible", 0.25),
+        (result.inner, "--", style.ATTAINED, "all inside is possible", 0.0),
     ):
         closed = np.vstack([corners, corners[:1]])
         if fill:
             one.fill(*closed.T, color=colour, alpha=fill, linewidth=0)
-        one.plot(*closed.T, color=colour, linewidth=1.2, label=label)
+        one.plot(*closed.T, line, color=colour, linewidth=1.2, label=label)
     names = [f"{n} [{u}]" if u else n for n, u in zip(result.names, result.units, strict=True)]
     one.set_xlabel(f"error of {names[0]}")
     one.set_ylabel(f"error of {names[1]}")

@@ -129,7 +129,8 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     ax.set_ylim(low, high)
     style.log_axis(ax)
     ticks = style.distinct_times(curve.samples)
-    ax.vlines(ticks, low, low * (high / low) ** 0.05, color=style.TRUTH, linewidth=1.0, label="samples")
+    foot = ax.get_xaxis_transform()
+    ax.plot(ticks, np.full(ticks.size, 0.025), "|", transform=foot, color=style.TRUTH, markersize=8, label="samples")
     least.set_label(f"least: {short(curve.least[at], 5)} at {style.moment(ax, curve.t[at], curve.time_unit)}")
     style.time_axis(ax, curve.time_unit, f"time, window from {style.moment(ax, curve.start, curve.time_unit)}")
     title = "the information of a window never falls below P1"
@@ -165,7 +166,9 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
         colour, width = (style.TRUTH, 1.6) if node == 0 else (style.MEASURED, 0.9)
         label = {0: "after the window's start", 1: "after samples, one for each node"}.get(node)
         ax.plot(s, lam, color=colour, linewidth=width, alpha=0.8, label=label)
-    ax.axhline(certificate.lam, color=style.PROVEN, linewidth=1.2, label=f"lambda: {above(certificate.lam, 5)}")
+    ax.axhline(
+        certificate.lam, color=style.PROVEN, linestyle="--", linewidth=1.2, label=f"lambda: {above(certificate.lam, 5)}"
+    )
     ax.set_ylim(bottom=0.0)
     style.time_axis(ax, plant.time_unit, "time since the last sample")
     ax.set_ylabel("prior weight over information kept")

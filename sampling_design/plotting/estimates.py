@@ -174,7 +174,8 @@ def draw_envelope(
     """Draw one panel per state: at each sample, or over stretches of time, the estimates and what is proven of them."""
     draw = _stretches if record.length else _bars
     proven = int(np.isfinite(record.lower).all(axis=1).sum())
-    parts = counted(len(record.lower), "interval" if record.length else "sample")
+    found = int(np.isfinite(record.lowest).all(axis=1).sum())
+    parts = counted(found, "interval" if record.length else "estimate")
     said = f"error bounds are proven for {proven} of {parts}"
 
     def drawn(panel: Axes, i: int) -> None:

@@ -40,7 +40,7 @@ def _errors(report: ValidationReport, ax: Axes) -> Axes:
         ax.plot(report.times, largest, line, color=style.ATTAINED, linewidth=1.1, label=f"largest, {error_curve.name}")
         if error_curve.name == "random noise":
             median = np.where(error_curve.median > 0, error_curve.median, np.nan)
-            ax.plot(report.times, median, color=style.MEASURED, linewidth=1.1, label=f"median, {error_curve.name}")
+            ax.plot(report.times, median, color=style.MEASURED, linewidth=0.6, label=f"median, {error_curve.name}")
     if report.bound is not None:
         ax.plot(report.times, report.bound, color=style.PROVEN, linewidth=1.6, label="proven for every run")
     ax.set_yscale("log")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -225,8 +226,22 @@ def shown_legends(axes):
             yield ax, ax.get_legend().get_window_extent(), ax.get_window_extent()
 
 
+def alike_in_grey(ax):
+    """Curves of a legend that differ by their colour alone, printed without it."""
+    named = [line for line in ax.lines if not line.get_label().startswith("_")]
+    looks = [(line.get_linestyle(), line.get_marker(), line.get_markerfacecolor() == "none") for line in named]
+    widths = [line.get_linewidth() for line in named]
+    greys = [np.dot(to_rgb(line.get_color()), [0.299, 0.587, 0.114]) for line in named]
+    return [
+        (named[i].get_label(), named[k].get_label())
+        for k in range(len(named))
+        for i in range(k)
+        if looks[i] == looks[k] and abs(widths[i] - widths[k]) < 0.4 and abs(greys[i] - greys[k]) < 0.15
+    ]
+
+
 @pytest.mark.long
-def test_no_legend_lies_on_a_curve():
+def test_no_legend_lies_on_a_curve_and_curves_differ_without_colours():
     design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3), starts=1, branches=0)
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
@@ -253,6 +268,7 @@ def test_no_legend_lies_on_a_curve():
         for ax, legend, inside in shown_legends(record.plot()):
             seen += 1
             assert legend.y0 >= inside.y1 - 2, type(record).__name__
+            assert alike_in_grey(ax) == []
             title = ax._left_title.get_window_extent()
             assert not ax.get_title(loc="left") or title.y0 >= legend.y1 - 4, type(record).__name__
     assert seen == 12
@@ -384,6 +400,12 @@ def test_a_wide_start_does_not_rule_the_axis_of_estimates():
     assert wide > 100
     assert high - low < wide
     assert high >= later
+
+
+def test_a_row_that_has_no_estimate_is_not_counted():
+    tank, one = sd.Plant([[-1.0]], [[1.0]]), np.ones((1, 1))
+    found = EstimateEnvelope.over(tank, [0.0, 1.0]).including(one[0], one, one, one[0] > 0, one[0] < 0)
+    assert found.plot()[0].get_title(loc="left") == "error bounds are proven for 1 of 1 estimate"
 
 
 def test_what_was_read_and_estimated_at_a_wide_start_is_in_the_picture():

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design.records.arrays import Array, Index
 
@@ -24,14 +25,14 @@ class ConeTable:
     def __init__(self, columns: int):
         self.columns, self.rows, self._ended = columns, 0, 0
         self.cones: list[tuple[str, int]] = []
-        self._entries: list[tuple[Index, Index, Array]] = []
+        self._entries: list[tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], Array]] = []  # as scipy counts
         self._b: list[Array] = []
 
     def put(self, rows: Index, columns: Index, values: Array) -> None:
         """Entries relative to the next row."""
         shape = np.broadcast(rows, columns, values).shape  # a table has thousands of small ones
-        i, j, v = np.empty(shape, np.intp), np.empty(shape, np.intp), np.empty(shape)
-        np.add(rows, self.rows, out=i)
+        i, j, v = np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(shape)
+        np.add(rows, self.rows, out=i, casting="same_kind")
         j[...], v[...] = columns, values
         self._entries.append((i.ravel(), j.ravel(), v.ravel()))
 

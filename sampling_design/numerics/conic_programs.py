@@ -231,7 +231,8 @@ class ConeSolver:
     iterations : int
     scaled : bool
         Entries are of size one: no equilibration, and steps are not refined, which saves half of the time. What ends
-        with its two sides further apart than `NEARLY` times the tolerance is solved again with both.
+        with its two sides further apart than `NEARLY` times the tolerance is solved again with both, and so is
+        everything after it: what is hard for one cost is hard for others, and the solver's memory is held once.
     """
 
     def __init__(
@@ -266,6 +267,8 @@ class ConeSolver:
 
     def solve(self, cost: Array, b: Array) -> tuple[Array, Array, str]:
         """Return the point, the multipliers (cost + A'z = 0) and how the solver ended; all of it unchecked."""
+        if self._careful is not None:
+            return self._careful.solve(cost, b)
         if self._solver is None:
             P, A, cones, settings = self._parts
             self._solver = clarabel().DefaultSolver(
@@ -276,7 +279,7 @@ class ConeSolver:
         found = self._solver.solve()
         status = _CLARABEL_STATUS.get(str(found.status), FAILED)
         if self._scaled and str(found.status) not in ("Solved", "AlmostSolved"):
-            self._careful = self._careful or self._again()
+            self._careful, self._solver = self._again(), None
             return self._careful.solve(cost, b)
         return np.asarray(found.x), np.asarray(found.z), status
 

@@ -154,7 +154,7 @@ class TimeShift:
         if length == 0 or not G.any():
             return 0.0
         table = GapTable.suited(sign * plant.A, G, np.zeros(0), [])
-        return DisturbanceQuadrature([table.open(length)]).integral((C * table.D)[None], disturbance.ball)
+        return DisturbanceQuadrature(table, [table.open(length)]).integral((C * table.D)[None], disturbance.ball)
 
     def between(self, low: Array, high: Array, box: Array) -> tuple[float, float]:
         """Return bounds on F, given those of its rows at the nodes and the size of each state."""

@@ -1,6 +1,8 @@
-"""Gaps of a record in fixed coordinates, remembered by length: transition, disturbance on panels, disturbance on cells.
+"""Gaps in fixed coordinates, remembered by length: transition, disturbance on panels, disturbance on cells.
 
-A gap that was met once costs nothing again, and gaps that are new are made together.
+A gap that was met once costs nothing again, and gaps of a record that are new are made together. What is integrated
+for many columns at once keeps the flow at all its panels (`PropagatedGap`). A record has thousands of gaps, each
+integrated for one column: these keep the doubled flows (`RecordGap`), and columns are run along the panels.
 """
 
 from __future__ import annotations
@@ -46,20 +48,16 @@ GROWN = 1e70  # growth over a period beyond which sizes are not followed: its sq
 class PropagatedGap:
     """One gap; s runs back from its end."""
 
-    F: Array  # (n, n)
     step: float  # length of a panel
     propagated: Array  # propagated, bend, (N+1, n, q): e^{As}G and e^{As}A^2G at the ends of the panels
     bend: Array
     third: Array  # (N,): on each panel a bound on |e^{As}A^3G|
-    pieces: Array  # (N, n, q): int e^{As}G ds over the panels
-    marks: Array  # (N,): where each panel lies among coarse cells of one size
-    _cells: dict[int, Array] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _quadrature(self) -> tuple[Array, Array, Array, Array, float]:
         """(e^{As}G)' and (e^{As}A^2G)' of all panel ends below each other, and what `integral` weighs them by."""
         N, d = self.third.size, self.step
-        both = (np.swapaxes(X, 1, 2).reshape(-1, len(self.F)) for X in (self.propagated, self.bend))
+        both = (np.swapaxes(X, 1, 2).reshape(-1, X.shape[1]) for X in (self.propagated, self.bend))
         propagated, bend = map(np.ascontiguousarray, both)
         ends, inner = np.full(N + 1, d), np.full(N, d**3 / 12)
         ends[[0, -1]] = d / 2
@@ -102,17 +100,50 @@ class PropagatedGap:
         third = self.third.reshape(-1, JOINED).max(axis=1)
         return replace(self, step=self.step * JOINED, propagated=ends[0], bend=ends[1], third=third)
 
+
+@dataclass(frozen=True, eq=False)
+class RecordGap:
+    """One gap of a record; s runs back from its end."""
+
+    step: float  # length of a panel
+    doubled: Array  # (log2 N + 1, n, n): e^{As} for s of 1, 2, 4, ..., N panels
+    forced: Array  # (n, q): int e^{As}G ds over the first panel
+    third: Array  # (N,): on each panel a bound on |e^{As}A^3G|
+    held: Array  # (N,): error of int e^{As}G ds over each panel
+    marks: Array  # (N,): where each panel lies among coarse cells of one size
+    _cells: dict[int, Array] = field(default_factory=dict, repr=False)
+
+    @property
+    def F(self) -> Array:
+        """(n, n)."""
+        return np.asarray(self.doubled[-1])
+
     def cells(self, level: int) -> Array:
         """Return int e^{As}G ds (m, n, q) over cells on which an adversary's w is constant, finer with the level."""
         if level not in self._cells:
-            self._cells[level] = self._cut(level)
+            n = len(self.forced)
+            with np.errstate(over="ignore", invalid="ignore"):
+                flows = run_along(np.broadcast_to(self.doubled, (n, *self.doubled.shape)), np.eye(n))
+                self.cut(level, np.swapaxes(flows[:, :-1] @ self.forced, 0, 1))
         return self._cells[level]
 
-    def _cut(self, level: int) -> Array:
+    def cut(self, level: int, pieces: Array) -> None:
+        """Keep the cells of a level, made of int e^{As}G ds (N, n, q) over the panels."""
         count = min(max(CELLS, float(np.ceil(self.marks[-1]))) * FINER_CELLS[level], float(self.marks.size))
         cell = np.minimum(self.marks / max(self.marks[-1], 1e-300) * count, count - 1).astype(int)
-        with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))
+        self._cells[level] = np.add.reduceat(pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0)
+
+
+def run_along(doubled: Array, g: Array) -> Array:
+    """Return g'e^{As} (J, N+1, n) at the ends of N panels, for g (J, n) and flows over 1, 2, 4, ..., N of them."""
+    J, n = g.shape
+    found = np.empty((J, 2 ** (doubled.shape[1] - 1) + 1, n))
+    found[:, 0] = g
+    for j in range(doubled.shape[1]):
+        known = 2**j
+        more = found[:, known : 2 * known]
+        np.matmul(found[:, : more.shape[1]], doubled[:, j], out=more)
+    return found
 
 
 def pace(A: Array) -> float:
@@ -169,8 +200,10 @@ class GapTable:
         self._size = float(np.linalg.norm(self.A, 2)) if n else 0.0
         self._second = self.A @ (self.A @ self.G)
         self._third = self.A @ self._second
-        self._known: dict[float, PropagatedGap] = {}
-        self._open: tuple[float, PropagatedGap] | None = None
+        self.driven = np.hstack([self.G, self._second])
+        self._known: dict[float, RecordGap] = {}
+        self._cut: dict[float, PropagatedGap] = {}
+        self._open: tuple[float, RecordGap] | None = None
 
     @classmethod
     def suited(cls, A: Array, G: Array, lengths: Array, rows: list[Array]) -> GapTable:
@@ -187,16 +220,16 @@ class GapTable:
         D = state_scales(F, W * float(np.mean(lengths)), [H * balance for H in rows])
         return cls(A, G, balance * D)
 
-    def open(self, length: float) -> PropagatedGap:
-        """Return the gap after the last sample."""
+    def open(self, length: float) -> RecordGap:
+        """Return the gap after the last sample of a record."""
         if self._open is None or self._open[0] != length:
             number = min(int(self._number(np.array([length]))[0]) * FINER, PANELS[1])
             with np.errstate(over="ignore", invalid="ignore"):
                 self._open = length, self._make_alike(np.array([length]), number)[length]
         return self._open[1]
 
-    def get(self, lengths: Sequence[float]) -> list[PropagatedGap]:
-        """Return the gaps of these lengths."""
+    def get(self, lengths: Sequence[float]) -> list[RecordGap]:
+        """Return the gaps of a record, of these lengths."""
         missing = [h for h in dict.fromkeys(lengths) if h not in self._known]
         if missing:
             if len(self._known) + len(missing) > REMEMBERED:
@@ -212,12 +245,13 @@ class GapTable:
 
     def cut(self, length: float, panel: float) -> PropagatedGap:
         """Return one gap, whose panels times its pace are at most so long; all that are asked for so have one size."""
-        if length not in self._known:
+        if length not in self._cut:
             number = int(np.clip(np.ceil(self._pace * length / panel), *PANELS))
             number += -number % JOINED if number > MANY else 0
             with np.errstate(over="ignore", invalid="ignore"):
-                self._known.update(self._make_alike(np.array([length]), number))
-        return self._known[length]
+                _, _, propagated, bend, third = self._panels(np.array([length]), number)
+            self._cut[length] = PropagatedGap(length / number, propagated[0], bend[0], third[0])
+        return self._cut[length]
 
     def _make(self, lengths: Array) -> None:
         numbers = self._number(lengths)
@@ -229,8 +263,8 @@ class GapTable:
         wanted = np.clip(np.ceil(self._size * lengths / PANEL), *PANELS)
         return np.asarray(np.exp2(np.ceil(np.log2(wanted))), dtype=np.intp)
 
-    def _make_alike(self, lengths: Array, number: int) -> dict[float, PropagatedGap]:
-        """Gaps with equally many panels."""
+    def _panels(self, lengths: Array, number: int) -> tuple[Array, Array, Array, Array, Array]:
+        """Flows at the ends of so many panels, flow and response over the first, then what a `PropagatedGap` keeps."""
         n, step = len(self.A), lengths / number
         first = forced_flow(self.A, self.G, step)
         E = np.empty((lengths.size, number + 1, n, n))
@@ -240,15 +274,24 @@ class GapTable:
             more = min(known, number - known)
             np.matmul(E[:, known, None], E[:, 1 : more + 1], out=E[:, known + 1 : known + more + 1])
             known += more
-        propagated, bend = E @ self.G, E @ self._second
         middle = expm_batch(self.A, step / 2) @ self._third
         third = np.linalg.norm(E[:, :-1] @ middle[:, None], axis=(2, 3)) * np.exp(self._size * step / 2)[:, None]
-        inner = E[:, :-1] @ first[:, None, :, n:]
-        marks = self._marks(propagated, bend, step)
-        return {
-            h: PropagatedGap(E[k, -1].copy(), float(step[k]), propagated[k], bend[k], third[k], inner[k], marks[k])
-            for k, h in enumerate(lengths.tolist())
-        }
+        return E, first, E @ self.G, E @ self._second, third
+
+    def _make_alike(self, lengths: Array, number: int) -> dict[float, RecordGap]:
+        """Gaps of a record with equally many panels, a power of two."""
+        n, made = len(self.A), dict[float, RecordGap]()
+        most = max(AT_ONCE // (number * max(n, 1) ** 2), 1)
+        for some in (lengths[i : i + most] for i in range(0, lengths.size, most)):
+            E, first, propagated, bend, third = self._panels(some, number)
+            doubled, step = E[:, 2 ** np.arange(number.bit_length())], some / number
+            inner = E[:, :-1] @ first[:, None, :, n:]
+            held = (n + number) * SUM_HELD * np.linalg.norm(inner, axis=(2, 3))
+            marks, forced = self._marks(propagated, bend, step), first[:, :, n:].copy()
+            for k, h in enumerate(some.tolist()):
+                made[h] = RecordGap(float(step[k]), doubled[k], forced[k], third[k], held[k], marks[k])
+                made[h].cut(0, inner[k])
+        return made
 
     def _marks(self, propagated: Array, bend: Array, step: Array) -> Array:
         """Middles of panels, counted in cells so short that delta^2/24 |M''|/|M| <= LOSS."""
@@ -261,20 +304,15 @@ class GapTable:
 
 
 class DisturbanceQuadrature:
-    """`PropagatedGap.integral` over many gaps at once: those with equally many panels are stacked."""
+    """`PropagatedGap.integral` of one column for each of many gaps of a record; those of as many panels are stacked."""
 
-    def __init__(self, gaps: Sequence[PropagatedGap]):
-        counts = [gap.third.size for gap in gaps]
+    def __init__(self, table: GapTable, gaps: Sequence[RecordGap]):
+        counts, names = [gap.third.size for gap in gaps], ("step", "doubled", "forced", "third", "held")
+        self._driven = table.driven
         self._groups = []
         for count in sorted(set(counts)):
             at = [k for k, own in enumerate(counts) if own == count]
-            both = np.array([[gaps[k].propagated, gaps[k].bend] for k in at])  # (J, 2, panels + 1, n, q)
-            rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(at), -1, both.shape[3])
-            third, step = np.array([gaps[k].third for k in at]), np.array([gaps[k].step for k in at])[:, None]
-            pieces = np.array([gaps[k].pieces for k in at])
-            whole = np.ascontiguousarray(np.swapaxes(pieces, 2, 3)).reshape(len(at), -1, both.shape[3])
-            held = (both.shape[3] + count) * SUM_HELD * np.linalg.norm(pieces, axis=(2, 3))
-            self._groups.append((at, rows, both.shape, third, step, whole, held))
+            self._groups.append((at, [np.array([getattr(gaps[k], name) for k in at]) for name in names]))
 
     def integral(self, g: Array, ball: bool) -> float:
         """Return a bound on the sum over gaps j of int h_W(G'e^{A's} g_j) ds for g (J, n), for all real times.
@@ -283,21 +321,28 @@ class DisturbanceQuadrature:
         """
         total = 0.0
         with np.errstate(over="ignore", invalid="ignore"):
-            for at, rows, (count, _, panels, _, q), third, d, whole, held in self._groups:
-                p, curved = np.moveaxis(np.matmul(rows, g[at][:, :, None]).reshape(count, 2, panels, q), 1, 0)
-                size = np.linalg.norm(g[at], axis=1)[:, None]
-                steep = np.where(size > 0, third * size, 0.0)  # the bound may be infinite
-                if ball and q > 1:
-                    value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
-                    sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
-                    total += float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
-                    continue
-                d, lost = d[:, :, None], (held * size)[:, :, None]
-                value, curve = np.abs(p), np.abs(curved)
-                sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep[:, :, None]
-                above = d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup
-                flow = np.abs(np.matmul(whole, g[at][:, :, None]).reshape(count, panels - 1, q)) + lost
-                one_sign = p[:, 1:] * p[:, :-1] > 0
-                one_sign &= d * np.minimum(value[:, 1:], value[:, :-1]) > d**3 / 8 * sup + lost
-                total += float(np.where(one_sign, np.minimum(flow, above), above).sum())
+            for at, parts in self._groups:
+                most = max(AT_ONCE // (parts[-1].shape[1] * sum(self._driven.shape)), 1)
+                for i in range(0, len(at), most):
+                    some = slice(i, i + most)
+                    total += self._integral(g[at[some]], ball, [part[some] for part in parts])
         return total if np.isfinite(total) else np.inf
+
+    def _integral(self, g: Array, ball: bool, parts: list[Array]) -> float:
+        d, doubled, forced, third, held = parts
+        along, d = run_along(doubled, g), d[:, None]
+        p, curved = np.split(along @ self._driven, 2, axis=2)
+        size = np.linalg.norm(g, axis=1)[:, None]
+        steep = np.where(size > 0, third * size, 0.0)  # the bound may be infinite
+        if ball and p.shape[2] > 1:
+            value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
+            sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
+            return float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
+        d, lost = d[:, :, None], (held * size)[:, :, None]
+        value, curve = np.abs(p), np.abs(curved)
+        sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep[:, :, None]
+        above = d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup
+        flow = np.abs(along[:, :-1] @ forced) + lost
+        one_sign = p[:, 1:] * p[:, :-1] > 0
+        one_sign &= d * np.minimum(value[:, 1:], value[:, :-1]) > d**3 / 8 * sup + lost
+        return float(np.where(one_sign, np.minimum(flow, above), above).sum())

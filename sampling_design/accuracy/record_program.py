@@ -109,7 +109,7 @@ class RecordProgram:
 
     @cached_property
     def _quadrature(self) -> DisturbanceQuadrature:
-        return DisturbanceQuadrature(self.gaps)
+        return DisturbanceQuadrature(self.table, self.gaps)
 
     @cached_property
     def _rounded(self) -> float:
@@ -252,7 +252,7 @@ class RecordProgram:
             return c, 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             gap = self.table.open(t - last)
-            return np.asarray(gap.F.T @ c), DisturbanceQuadrature([gap]).integral(
+            return np.asarray(gap.F.T @ c), DisturbanceQuadrature(self.table, [gap]).integral(
                 c[None], self.readings.disturbance.ball
             )
 

@@ -325,7 +325,7 @@ export async function mount(element, ask) {
 
   /* What belongs to earlier places of the marks is pale until it is answered anew. */
   function stale() {
-    for (const part of [errors, set]) if (part) part.classList.add("stale");
+    for (const part of [errors, set, said]) if (part && part.textContent) part.classList.add("stale");
   }
   function live() {
     stale();
@@ -355,10 +355,12 @@ export async function mount(element, ask) {
     button.addEventListener("click", () => {
       button.disabled = true;
       said.textContent = "…";
+      const asked = JSON.stringify(marks);
       send({ ask: verb, marks, button: true }, (answer) => {
         button.disabled = false;
         said.textContent = answer.error || answer.said;
         if (answer.marks) { marks = answer.marks; drawLine(); settled(); }
+        said.classList.toggle("stale", !answer.marks && JSON.stringify(marks) !== asked);
       });
     });
   }

@@ -226,11 +226,18 @@ def test_design_save_and_reload(explorer, page, shot, tmp_path):
         assert pytest.approx(left, rel=1e-3) in said
     assert float(late.get_attribute("y1")) < float(lost.get_attribute("y1"))
     shot(page, "explorer-designed")
+    stale = "document.querySelector('.said').classList.contains('stale')"
+    assert not page.evaluate(stale)
+    designed = proven(page)
+    page.locator(".mark").first.focus()
+    page.keyboard.press("ArrowRight")
+    until(page, stale)  # what was designed is no longer what is shown
+    page.keyboard.press("ArrowLeft")
     page.get_by_role("button", name="Save").click()
     until(page, "document.querySelector('.said').textContent.includes('Saved')")
+    assert not page.evaluate(stale)
     saved = sd.read_schedule(tmp_path / "schedule.csv")
     assert saved.times == pytest.approx(bench.schedule.times)
-    designed = proven(page)
     page.reload()
     page.wait_for_selector(".sigma .lower")
     assert proven(page) == pytest.approx(designed, rel=1e-3)

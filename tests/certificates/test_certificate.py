@@ -273,6 +273,7 @@ def test_integer_gaps_alias_omega_pi_whatever_the_schedule():
     repair = caught.value.details["repair"]
     gaps = np.array([1.0, 2.0, 1.0])
     gaps[repair["gap"]] = repair["to"]
+    assert str(caught.value).endswith(f"which makes the period {gaps.sum():.6g}.")
     assert certificate_exists(plant, PeriodicSchedule(gaps), 0.4).exists
     assert given(plant, PeriodicSchedule([0.5])).verify().passed
 

@@ -213,10 +213,11 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
     existence = certificate_exists(plant, schedule, eta)
     if existence.exists:
         return existence
-    repair = smallest_repair(plant, period_of(schedule), eta)
+    whole = period_of(schedule)
+    repair = smallest_repair(plant, whole, eta)
     words = (
         f"The smallest change of one gap that repairs it: gaps[{repair['gap']}] = {repair['from']:.6g} to "
-        f"{repair['to']:.6g}."
+        f"{repair['to']:.6g}, which makes the period {whole.period - repair['from'] + repair['to']:.6g}."
         if repair
         else "No change of a single gap repairs it."
     )

@@ -145,7 +145,7 @@ def standard_deviation(
     *Assumptions.* w is white, v independent from sample to sample; for Gaussian noise no estimator does better.
     *Method.* Structure-preserving doubling to the periodic limit (the strong solution), exact flows of the covariance
     between samples; the worst time is refined between the points of the profile. Amplitude bounds reward more samples
-    much less: compare `accuracy`.
+    much less: compare `guaranteed_accuracy`.
 
     References
     ----------

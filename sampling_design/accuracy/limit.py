@@ -173,7 +173,7 @@ def accuracy_limit(
     `w_bound` 0: trajectories begin at rest, and what is left of an unknown start is not counted. *Method.* The
     adversary's program with nodes at steps that are halved; then the trajectory is simulated exactly, |C x| bounded
     between nodes by chords and the second derivative, and everything divided by the largest ratio to its bound. The
-    exact limit is at most `accuracy` of any one schedule.
+    exact limit is at most `guaranteed_accuracy` of any one schedule.
 
     References
     ----------

@@ -120,9 +120,9 @@ def project_rows(
     Notes
     -----
     *Claim.* Data that read zero leave possible what lies between both polygons, and nothing outside the outer one.
-    *Method.* The program of `accuracy` for rows c'(first, second); every polygon holds for all c between them, too.
-    The ellipsoid obeys X' = AX + XA' + bX + GG'/b between samples and X^-1 <- (1 - a) X^-1 + a C'C at them, in units of
-    the bounds; b and a make the ellipse's area least.
+    *Method.* The program of `guaranteed_accuracy` for rows c'(first, second); every polygon holds for all c between
+    them, too. The ellipsoid obeys X' = AX + XA' + bX + GG'/b between samples and X^-1 <- (1 - a) X^-1 + a C'C at
+    them, in units of the bounds; b and a make the ellipse's area least.
 
     References
     ----------

@@ -83,7 +83,7 @@ class PeriodicGains:
     prior : (n,) array, optional
         The state expected at the first sample. Default 0.
     initial_error : float, (n,) or (n, n) array, or mapping
-        What is known of x at the first sample less `prior`, as for `accuracy`; all states must be bounded.
+        What is known of x at the first sample less `prior`, as for `guaranteed_accuracy`; all states must be bounded.
     first : int
         Place in the period of the first sample.
 
@@ -95,10 +95,10 @@ class PeriodicGains:
     Notes
     -----
     *Assumptions.* Samples come at the times of the schedule; bounds hold. *Claim.* Radii hold for every sample; after
-    the start is forgotten they are those of `accuracy` at the samples, and no estimator guarantees less. *Method.* The
-    gains of the adversary's program, written as weights on the innovations of a periodic filter, so that inputs and
-    unstable modes pass through a stable recursion. Until the window is full the filter alone speaks, with the radii
-    that its gains prove. An update costs a few products of a matrix with a vector.
+    the start is forgotten they are those of `guaranteed_accuracy` at the samples, and no estimator guarantees less.
+    *Method.* The gains of the adversary's program, written as weights on the innovations of a periodic filter, so that
+    inputs and unstable modes pass through a stable recursion. Until the window is full the filter alone speaks, with
+    the radii that its gains prove. An update costs a few products of a matrix with a vector.
 
     References
     ----------

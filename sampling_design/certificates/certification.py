@@ -166,7 +166,7 @@ def certify(
         at which lasting noise would leave ten times the least that it leaves at any; slower where nothing in this range
         can be followed in doubles, or proven. With bounds one over the longest gap.
     P2 : (n, n) array, optional
-        Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
+        Weight of the prior. Default: shape and scale chosen for the least horizon that `noise_gain` allows.
     Qw : (q, q) array, optional
         Default diag(1/s_w^2): a disturbance of typical size counts one per unit of time, whatever that unit is.
     R, Qv : (p, p) arrays, optional

@@ -103,7 +103,7 @@ class PlanRequirement(WrittenRecord):
         least ratio of accuracy to tolerance that `samples` or `cost_limit` allow. Default: the latter if one of
         these is given.
     w_bound : float, (q,) sequence or dict by name, optional
-        Bound on the disturbance, as for `accuracy`.
+        Bound on the disturbance, as for `guaranteed_accuracy`.
     w_intensity : float, (q,) sequence or dict by name, optional
         Intensity of the disturbance as white noise, as for `standard_deviation` [its unit squared times the plant's
         time unit].
@@ -113,8 +113,8 @@ class PlanRequirement(WrittenRecord):
     time_unit : str, optional
         Unit of all times that are plain numbers; None means the plant's.
     initial_error : number, array or dict, optional
-        Bound on the state's error when the plan starts, as for `accuracy`: one on its norm, half-widths, a weight, or
-        by name of the state. Default: nothing is known then.
+        Bound on the state's error when the plan starts, as for `guaranteed_accuracy`: one on its norm, half-widths,
+        a weight, or by name of the state. Default: nothing is known then.
     timing_tolerance : float or str, pair (early, late), or dict of these by output, optional
         How early or late each sample may be: tolerances that are guaranteed are then kept at all such times, and
         samples lie farther apart than the earliest and the latest reading of one may. Outputs with tolerances of their

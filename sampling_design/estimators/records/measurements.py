@@ -73,6 +73,12 @@ class Measurements(ListRecord[MeasuredRow]):
     Its rows are (t, y, u) as an estimator's `run` and `stream` take them; y is None in a row that only
     reports an input, u is None where nothing changes. `shifted`, `rebased`, `between`, `in_order` and `merged` move
     everything that a row says of time, the beginnings of its means too.
+
+    Examples
+    --------
+    >>> record = Measurements(Plant([[0.0]], [[1.0]], time_unit="h"), [0.0, 12.25], [[4.1], [np.nan]])
+    >>> len(record), record.measured[:, 0].tolist()
+    (2, [True, False])
     """
 
     plant: MeasuredPlant

@@ -146,7 +146,7 @@ def accuracy_along(
     progress: Progress | None = None,
     **others: object,
 ) -> AccuracyAlong:
-    """Bracket the least guaranteed error at the samples and in between: see `accuracy`.
+    """Bracket the least guaranteed error at the samples and in between: see `guaranteed_accuracy`.
 
     The adversary's linear program has w constant on cells; its multipliers are gains, whose guarantee is a sum over the
     start, the noise and the integral of |G'g| (Simpson's rule on each cell). Raises ArgumentError if the schedule does

@@ -123,9 +123,10 @@ def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str], le
             value = np.inf
         alone_of_many = not equals and "," in text.strip(" ,")
         if not least <= value < np.inf or alone_of_many or (name.strip() in found):
+            none_less = ", none negative" * (least == 0)
             raise ArgumentError(
-                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between, got {text!r:.60}. Decimals have "
-                "a point, not a comma."
+                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between{none_less}, got {text!r:.60}. "
+                "Decimals have a point, not a comma."
             )
         keys = [name.strip()] if equals else list(alone)
         known_keys(f"`{flag}`", keys, names)

@@ -13,6 +13,7 @@ import typer
 import sampling_design as sd
 from sampling_design.cli.options import by_name, listed, number_or_text
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import positive
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
 from sampling_design.schedules.sensor import duration
@@ -121,7 +122,7 @@ def requirement(asked: RequirementFlags, unit: str, span: float) -> sd.Requireme
     place = OpeningCalendar(asked.start or A_MONDAY, asked.zone or "UTC", hours)  # a slip is named, hours or none
     if asked.zone and not asked.start:
         raise ArgumentError(f"`--zone` {asked.zone} says where --start is local time: give --start DATE with it.")
-    period = span if asked.period is None else asked.period
+    period = span if asked.period is None else positive("period", asked.period)
     if hours is not None:
         period = whole_days(period, unit, hours, given=asked.period is not None)
     minute, shut = 60.0 / SECONDS[unit], list[tuple[float, float]]()

@@ -293,6 +293,7 @@ def _as_typed(parameter: inspect.Parameter) -> str:
 def _rename(error: ArgumentError, parameters: Sequence[inspect.Parameter]) -> None:
     """Let the words of an error name the flags as they are typed, where the verb below named its own arguments."""
     text = str(error).replace("`path`", "the file")  # it is an argument of readers, and has no name where one types
+    text = text.replace("a `record`", "MEASUREMENTS")
     for each in parameters:
         if flag := _as_typed(each):
             text = re.sub(rf"`{each.name}(?=[`\[.])", f"`{flag}", text)  # of one entry, too: `name[1]`, `name.key`

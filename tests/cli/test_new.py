@@ -306,6 +306,11 @@ def test_nothing_is_written_over_unless_forced(shell, tmp_path):
         (("--half-life", "3x"), """`--half-life` must be positive numbers of h, or times like "3 d", with"""),
         (("--half-life", "3", "--within", "0,5", "--noise", "1", "--disturbance", "1"), "Decimals have a point"),
         (("--oscillation", "24", "--period", "24000", "--open", "7-19"), "at most 400"),
+        (("--oscillation", "24", "--period", "0"), "`--period` must be positive, got 0.0"),
+        (
+            ("--decay", "5", "--within", "-1", "--noise", "1", "--disturbance", "1"),
+            "with commas between, none negative, got '-1'",
+        ),
         (("--oscillation", "24", "--within", "0.5"), "which needs --noise"),
         (("--oscillation", "24", "--within", "0.5", "--noise", "0.1", "--disturbance", "0", "--start", "no"), "start"),
         (("--oscillation", "24", "--sensors", "a,a"), "twice"),

@@ -33,6 +33,7 @@ def test_results_that_are_out_on_the_command_line(shell, tmp_path):
     wrong = shell("next", plan, tmp_path / "read.csv", "--now", "12.5", "--awaited", "lab")
     assert wrong.code == 2
     assert "`--awaited` must be a sensor and when it was read, as 'lab 3.5', got 'lab'" in wrong.err
+    assert "`--awaited` needs MEASUREMENTS: without one" in shell("next", plan, "--awaited", "lab 12").err
     sd.plants.write_plant(WALK, tmp_path / "plant.toml")
     sd.schedules.write_schedule(problem.schedule(chosen), tmp_path / "schedule.csv")
     given = ("accuracy", tmp_path / "plant.toml", tmp_path / "schedule.csv", "--w", "0.1", "--v", "0.3,0.02", "--json")

@@ -11,6 +11,7 @@ import numpy as np
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, gap_bounded, quick_bound
+from sampling_design.design.bounds.ordered_windows import flow_of
 from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed, sigma_of_moved
 from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates, rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
@@ -55,7 +56,7 @@ GAP = 0.03
 MOST_TRIED = 100  # largest count that a target sigma is tried with where the requirement names none
 _MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
 _PROOF = 0.2  # of the budget: what the proof of sigma may take at least, even where all is spent
-_PLAIN_STATES = 8  # up to which a cut takes little time
+_PLAIN_STATES, _ORDERED_STATES = 8, 20  # up to which a cut takes little time, and where order alone decides
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
 
 
@@ -88,7 +89,7 @@ def design_schedule(
     branches : int, optional
         How often a box of schedules is cut in two to narrow the upper bound; 0 keeps that of the relaxations alone.
         Default: until the gap is at most 3 %, with 20 cuts, or up to 150 as long as it falls (fewer beyond eight
-        states, where each takes longer).
+        states, where each takes longer; beyond twenty where no state grows or decays and windows hold whole periods).
     rtol : float
         Width of the bracket that proves sigma.
     rng : numpy.random.Generator or its seed, optional
@@ -463,6 +464,7 @@ def _cuts(problem: DesignProblem, proposed: int | None) -> tuple[int, int, float
         return proposed, proposed, 0.0
     n = problem.plant.n_states
     share = min(1.0, (_PLAIN_STATES * (_PLAIN_STATES + 1) / (n * (n + 1))) ** 2)  # as inequalities have rows
+    share = share if flow_of(problem) is None else min(1.0, (_ORDERED_STATES / n) ** 3)
     return int(BRANCHES * share), int(PATIENCE * share), GAP
 
 

@@ -1,5 +1,7 @@
 """Any psd multipliers prove a bound: against plain sums over schedules, aligned with the jumps on purpose."""
 
+from dataclasses import replace
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -7,12 +9,15 @@ from scipy.linalg import expm
 
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import weak_duality as bound
-from sampling_design.design.bounds.evidence import BoundPart, UpperBound, local_part, zone_part
+from sampling_design.design.bounds.branching import narrowed
+from sampling_design.design.bounds.evidence import BoundPart, UpperBound, local_part, ordered_part, zone_part
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
+from sampling_design.design.bounds.ordered_windows import flow_of, ordered_bound, relax_ordered
 from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import begins, origin_zones, regions, tightened, zoned
 from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
 
@@ -287,6 +292,80 @@ def test_windows_that_follow_their_samples_are_exact_in_a_box_that_shrinks(name,
         windows, roots, nu, _ = relax_local(case, zones, sigma)
         excess.append(local_bound(case, zones, windows, roots, nu) / best - 1)
     assert excess[1] <= 0.02  # at an arbitrary schedule the first order is left, and nothing else
+
+
+def turning(speeds, outputs, seed=3):
+    """Undamped oscillators in random coordinates."""
+    rng = np.random.default_rng(seed)
+    Q = np.linalg.qr(rng.normal(size=(2 * len(speeds),) * 2))[0]
+    return Q @ np.kron(np.diag(speeds), [[0.0, 1.0], [-1.0, 0.0]]) @ Q.T, rng.normal(size=(outputs, len(Q)))
+
+
+def before_each_sample(A, C, times, period, window):
+    """Gram matrices, in the state at time 0, of the windows [s_m, s_m + T) of sorted times, by definition."""
+    every = (times + period * np.arange(int(np.ceil(window / period)) + 1)[:, None]).ravel()
+    rows = [C @ expm(A * t) for t in every]
+    held = [(every >= s - 1e-9) & (every < s + window - 1e-9) for s in times]
+    return np.array([sum(c.T @ c for c, inside in zip(rows, each, strict=True) if inside) for each in held])
+
+
+@pytest.mark.parametrize("window", [4.0, 8.0])
+@pytest.mark.parametrize("width", [0.0, 0.3, 1.2])
+def test_windows_before_each_sample_bound_every_schedule_of_the_box(window, width):
+    """Any psd multipliers, zones that overlap: what a schedule of the box gives them is no more, and nearly that."""
+    A, C = turning((0.7, 1.9, 2.6), 2)
+    case = DesignProblem(Plant(A, C), window, 4.0, 0.3, 4, np.zeros((0, 2)), np.zeros(0), (None,) * 2)
+    rng, middle = np.random.default_rng(1), np.array([0.0, 1.1, 1.9, 3.0])
+    zones = middle[:, None] + np.array([-width, width]) / 2 * (np.arange(4) > 0)[:, None]
+    grids = [times for times in rng.uniform(*zones.T, size=(60, 4)) if np.all(np.diff(times) > 0)]
+    grams = [before_each_sample(A, C, times, 4.0, window) for times in [*grids, middle]]
+    found = [relax_ordered(case, case.orthogonal_flow, zones, aim, Budget(None))[0] for aim in (0.5, 1.5)]
+    roots = rng.normal(size=(3, 4, 6, 1))
+    for Z in [*found, *(roots @ np.swapaxes(roots, 2, 3))]:
+        Z = Z / np.trace(Z, axis1=1, axis2=2).sum()
+        bound = ordered_bound(case, case.orthogonal_flow, Z, zones) ** 2
+        sums = [np.einsum("mij,mij->", W, Z) for W in grams]
+        assert max(sums) <= bound
+        assert width or bound == pytest.approx(sums[-1], rel=2e-8)
+    reached = max(np.linalg.eigvalsh(W)[:, 0].min() for W in grams)
+    assert np.sqrt(reached) == pytest.approx(max(window_sigma_scan(A, C, t, 4.0, window) for t in [*grids, middle]))
+    assert reached <= ordered_bound(case, case.orthogonal_flow, found[0], zones) ** 2 <= (1.001 + 3 * width) * reached
+
+
+def fourteen_states(**changes):
+    A, C = turning((0.5, 0.9, 1.3, 1.7, 2.1, 2.5, 2.9), 3)
+    P = 2 * np.pi
+    return replace(DesignProblem(Plant(A, C), P, P, 0.2, 7, np.zeros((0, 2)), np.zeros(0), (None,) * 3), **changes)
+
+
+def test_bounds_by_order_close_in_on_the_best_schedule():
+    case, reached = fourteen_states(), 1.1446  # by a design's search
+    anything = BoundPart("placed", np.zeros(1), np.eye(14)[None] / 14).judged(case)
+    bound = narrowed(case, UpperBound(anything.value, (anything,)), reached, 20)
+    assert bound.method == "ordered"
+    assert reached <= bound.value <= 1.01 * reached < 0.9 * anything.value
+    assert bound.value_for(case) == pytest.approx(bound.value, rel=1e-12)
+    assert replace(bound, parts=bound.parts[1:]).value_for(case) == np.inf
+    rng = np.random.default_rng(0)
+    drawn = np.array([random_schedule(rng, case.period, case.spacing, 7) for _ in range(500)])
+    assert np.sqrt(case.orthogonal_flow.worst(drawn, case.mask(drawn))[0].max()) <= bound.value
+
+
+def test_a_bound_by_order_needs_states_that_keep_their_size_and_samples_that_may_lie_anywhere():
+    case = fourteen_states()
+    whole = regions(case, "late")[0]
+    part, cut = ordered_part(case, whole, "late", 0.0)
+    assert whole[cut.place, 0] < cut.at < whole[cut.place, 1] == pytest.approx(whole[cut.place, 0] + cut.width)
+    assert part.method == "ordered"
+    assert part.value_for(case) == part.value < np.inf
+    others = {
+        "late": replace(case, late=0.01),
+        "closed": replace(case, forbidden=np.array([[1.0, 1.5]])),
+        "of one and a half periods": replace(case, window=1.5 * case.period),
+        "damped": replace(case, plant=Plant(case.plant.A - 1e-3 * np.eye(14), case.plant.C)),
+    }
+    assert all(flow_of(other) is None and part.value_for(other) == np.inf for other in others.values()), others
+    assert replace(part, weights=part.weights[1:]).value_for(case) == np.inf  # a window less than there are samples
 
 
 def test_a_bound_of_a_state_that_is_hardly_seen_does_not_drown_in_rounding():

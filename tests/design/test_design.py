@@ -259,10 +259,16 @@ def test_a_strongly_unstable_plant_does_not_break_the_solver():
     assert design.verify()
 
 
-@pytest.mark.parametrize(("states", "cuts"), [(2, (20, 150)), (8, (20, 150)), (11, (5, 44)), (20, (0, 4))])
-def test_cuts_that_take_longer_are_fewer(states, cuts):
+@pytest.mark.parametrize(
+    ("states", "rate", "cuts"),
+    [
+        *((2, 0.1, (20, 150)), (8, 0.1, (20, 150)), (11, 0.1, (5, 44)), (20, 0.1, (0, 4))),
+        *((11, 0.0, (5, 44)), (20, 0.0, (20, 150)), (40, 0.0, (2, 18))),  # of many that keep their size as many
+    ],
+)
+def test_cuts_that_take_longer_are_fewer(states, rate, cuts):
     rule = Requirement(window=4.0, spacing=0.1, samples=4)
-    problem = pose(Plant(np.zeros((states, states)), np.eye(states)), rule.replace(period=4.0), 4)
+    problem = pose(Plant(-rate * np.eye(states), np.eye(states)), rule.replace(period=4.0), 4)
     assert _cuts(problem, None) == (*cuts, GAP)
     assert _cuts(problem, 7) == (7, 7, 0.0)
 

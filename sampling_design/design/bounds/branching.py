@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.design.bounds.evidence import BoundPart, UpperBound, chosen_in, local_part, zone_part
+from sampling_design.design.bounds.evidence import BoundPart, UpperBound, chosen_in, local_part, ordered_part, zone_part
+from sampling_design.design.bounds.ordered_windows import flow_of
 from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
 from sampling_design.design.bounds.zones import Side, halves, regions, sides, tightened, zoned
@@ -138,7 +139,8 @@ def _rooted(
         return None
     tree = _ZoneBoxTree(enough, budget)
     for root in best:
-        if problem.least_shift == 0 and root.part.side != "sorted" and len(posed) == 1:
+        counted = problem.least_shift == 0 and root.part.side != "sorted" and len(posed) == 1
+        if counted and root.part.method != "ordered":
             tree.split_by_lateness(root, progress)
         else:
             tree.keep(root)
@@ -238,6 +240,10 @@ def _box(
     tight = tightened(problem, zones, side)
     if tight is None:
         return None
+    if flow_of(problem) is not None:
+        near = aim if wider is None else (aim + wider.part.value) / 2
+        by_order, at = ordered_part(problem, zones, side, near, budget)
+        return _ZoneBox(_inherited(problem, by_order, wider), *at, np.zeros(0), small=False, cost=0.5, problem=problem)
     found: list[tuple[BoundPart, int, float, float]] = []
     widths = tight[:, 1] - tight[:, 0]
     size = float(widths.max()) * problem.samples / problem.period
@@ -261,8 +267,14 @@ def _box(
         nothing = BoundPart("zones", np.zeros(0), np.zeros((0, 1, 1)), zones, side=side, chosen=chosen_in(problem))
         found.append((nothing, index, float(tight[index].mean()), float(widths[index])))
     part, index, cut, width = min(found, key=lambda one: one[0].value)
-    if wider is not None and part.value > _INHERITS * wider.part.value:
-        part = min(part, replace(wider.part, zones=zones).judged(problem), key=lambda p: p.value)
+    part = _inherited(problem, part, wider)
     small = small or (part.method == "local" and part.value < _CLEARLY * found[-1][0].value)
     cost = (0.5 if len(found) == 2 or not small else 0.0) + _LOCAL_COST
     return _ZoneBox(part, index, cut, width, hints, small, cost, problem)
+
+
+def _inherited(problem: DesignProblem, part: BoundPart, wider: _ZoneBox | None) -> BoundPart:
+    """The part, or what the multipliers of the wider box prove of its zones where it gains little on that."""
+    if wider is None or part.value <= _INHERITS * wider.part.value:
+        return part
+    return min(part, replace(wider.part, zones=part.zones).judged(problem), key=lambda p: p.value)

@@ -10,6 +10,7 @@ import numpy as np
 
 from sampling_design.design.bounds.gap_bound import gap_bound, relax_gaps
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
+from sampling_design.design.bounds.ordered_windows import Cut, flow_of, ordered_bound, relax_ordered
 from sampling_design.design.bounds.relaxation import (
     JUST_BESIDE,
     LEAST_SECONDS,
@@ -43,7 +44,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
 
-Method = Literal["placed", "alone", "zones", "local", "gaps"]
+Method = Literal["placed", "alone", "zones", "local", "ordered", "gaps"]
 
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
@@ -128,6 +129,8 @@ class BoundPart:
         zones = tightened(problem, self.zones, self.side)
         if zones is None:
             return 0.0
+        if self.method == "ordered":
+            return self._of_order(problem, zones)
         if self.method == "local":
             k, tied = problem.samples, self.tied
             fits = tied.shape == (len(roots), 4) and self.tilt.size == k and np.all(self.tilt >= 0)
@@ -136,6 +139,14 @@ class BoundPart:
             far = k * (np.ceil(problem.window / problem.period) + 2)
             return np.inf if np.any(np.abs(tied[:, 3]) > far) else local_bound(problem, zones, tied, roots, self.tilt)
         return zone_bound(problem, self.starts, Z, zones)
+
+    def _of_order(self, problem: DesignProblem, zones: Array) -> float:
+        """The bound of schedules in `zones` from multipliers of the windows before each sample."""
+        flow = flow_of(problem)
+        if flow is None or len(self.weights) != problem.samples:
+            return np.inf
+        total = np.trace(self.weights, axis1=1, axis2=2).sum()
+        return ordered_bound(problem, flow, self.weights / total, zones)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -339,6 +350,17 @@ def zone_part(
         alone = replace(part, weights=slow @ (slow.T @ part.weights @ slow) @ slow.T)
         part = min(part, alone.judged(problem), key=lambda p: p.value)
     return part, relaxed, cut
+
+
+def ordered_part(
+    problem: DesignProblem, zones: Array, side: Side, aim: float, budget: Budget = ENDLESS
+) -> tuple[BoundPart, Cut]:
+    """Bound for the schedules of a box by their order (`flow_of`), near a sigma that is aimed at, and the next cut."""
+    flow, tight = flow_of(problem), tightened(problem, zones, side)
+    assert flow is not None
+    assert tight is not None
+    Z, cut = relax_ordered(problem, flow, tight, aim, budget)
+    return BoundPart("ordered", np.zeros(0), Z, zones, side=side).judged(problem), cut
 
 
 def local_part(

@@ -2,7 +2,7 @@
 
 Where e^{As} is orthogonal, sigma is the same wherever a window begins between two samples, and seen from time 0 as well
 as from there. If the window holds whole periods, only one window for each sample is left; from one to the next the
-rows of a sample, C e^{As}, leave and come back a window later. Search only: nothing here is a claim.
+rows of a sample, C e^{As}, leave and come back a window later.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
 WHOLE = 1e-11  # relative: windows that are a whole number of periods to rounding
-_STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned
+STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned
 BATCH_NUMBERS = 400_000  # numbers per batch: fits into a cache
 UNSURE = 1e-5
 """Of the largest eigenvalue of a window's Gram matrix: a least one below it has lost digits to the sums here."""
@@ -23,10 +23,15 @@ class OrthogonalFlowWindows:
     """Gram matrices, in the plant's own coordinates, of the windows that begin just before each of k samples."""
 
     def __init__(self, plant: Plant, window: float, period: float) -> None:
-        skew = (plant.A - plant.A.T) / 2
-        self.speeds, self.modes = np.linalg.eigh(-1j * skew)
+        self.skew = (plant.A - plant.A.T) / 2
+        self.speeds, self.modes = np.linalg.eigh(-1j * self.skew)
         self.outputs = plant.C @ self.modes
         self.period, self.repeats = period, round(window / period)
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency of a quadratic form of rows, in radians per time; that of one turn a window at least."""
+        return float(2 * max(np.abs(self.speeds).max(), np.pi / (self.repeats * self.period)))
 
     @classmethod
     def of(cls, plant: Plant, window: float, period: float) -> OrthogonalFlowWindows | None:
@@ -34,7 +39,7 @@ class OrthogonalFlowWindows:
         ratio = window / period
         stretch = float(np.linalg.norm(plant.A + plant.A.T, 2)) * window / 2
         whole = ratio > 1 - WHOLE and abs(ratio - round(ratio)) <= WHOLE * ratio
-        return cls(plant, window, period) if whole and stretch <= _STRETCH else None
+        return cls(plant, window, period) if whole and stretch <= STRETCH else None
 
     def rows(self, times: Array, mask: Mask) -> Array:
         """Rows C e^{As}, (*times.shape, p, n), zero where `mask` says that nothing is seen."""

@@ -76,7 +76,8 @@ class Measurements(ListRecord[MeasuredRow]):
 
     Examples
     --------
-    >>> record = Measurements(Plant([[0.0]], [[1.0]], time_unit="h"), [0.0, 12.25], [[4.1], [np.nan]])
+    >>> plant = Plant([[0.0]], [[1.0]], time_unit="h")
+    >>> record = Measurements(plant, np.array([0.0, 12.25]), np.array([[4.1], [np.nan]]))
     >>> len(record), record.measured[:, 0].tolist()
     (2, [True, False])
     """

@@ -31,7 +31,8 @@ WALK = 1e-12
 """Share of a free start's covariance that joins the noise of a period where the filter from P = 0 is unstable."""
 
 ROUNDED = 1e-7
-"""Share of a root that may be rounding: root of that of the covariance which it was taken from."""
+"""Share of noise that may be rounding, root of that of its covariance; and the angle at which an exact sensor's row
+shows nothing that is not known."""
 
 WIDER, WIDEST = (1e2, 1e4, 1e6, 1e8, 1e10), (1e8, 1e10)
 """A start of which nothing is known is taken so many times as wide, until what the samples determine stays as it is;
@@ -172,8 +173,7 @@ def deviations(
     W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
     ends = (None, None) if schedule.endless else (float(question.nodes[0]), question.end)
     question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
-    # of what no noise reaches, an endless past has left what grows; an exact sensor's filter finds that by itself
-    known = question.lasting(psd_root(W) if np.all(v > 0) else None)
+    known = question.lasting(psd_root(W))  # of what no noise reaches, an endless past has left what grows
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
     curves = _DeviationCurves(question, known.plant, W, known.moving) if safe else None
     lengths = question.gaps
@@ -230,8 +230,7 @@ class _DeviationCurves:
         roots = rooted(root)[0] if followed else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
         if any(own.any() for own in self._exact):
             root = carried(roots[-1], rooted.F[-1], rooted.noise[-1])
-            for _ in range(r):  # each period shows one direction more of what no noise reaches, or none is left
-                roots, root = rooted.exactly(root, self._exact, ROUNDED)
+            roots = rooted.exactly(root, self._exact, ROUNDED, r)  # each shows a direction more of what grows undriven
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
 
     def _finite(self, rows: list[Array]) -> list[Array]:
@@ -239,15 +238,20 @@ class _DeviationCurves:
         flows = self._flows(np.diff(self.question.nodes)) if self.question.nodes.size > 1 else []
         F, noise = [F for F, _ in flows], [covariance_root(W) for _, W in flows]
         path = RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])
-        start = np.eye(n) * np.sqrt(DIFFUSE)
-        widest = [path(start * size)[0] for size in WIDEST] if not all(a.whole for a in self._directions) else []
+
+        def begun(size: float) -> list[Array]:
+            root = np.eye(n) * np.sqrt(DIFFUSE) * size
+            return path.exactly(root, self._exact, ROUNDED) if exact else path(root)[0]
+
+        exact = any(own.any() for own in self._exact)
+        widest = [begun(size) for size in WIDEST] if not all(a.whole for a in self._directions) else []
         free = [self._sizes(roots, False) for roots in widest]
-        roots = path(start)[0]
+        roots = begun(1.0)
         for size in WIDER:
-            before, roots = self._sizes(roots), path(start * size)[0]
-            settled = np.allclose(self._sizes(roots), before, rtol=SETTLED, atol=0.0)
+            before, roots = self._sizes(roots), begun(size)
+            settled = np.allclose(self._sizes(roots), before, rtol=SETTLED, atol=SETTLED)  # of what a filter leaves
             if settled and (not free or np.all(free[1] > free[0] * WIDEST[1] / WIDEST[0] / 2)):
-                return path.exactly(start * size, self._exact, ROUNDED)[0]
+                return roots
         raise UndecidedError(
             "undecided: the samples show some state so weakly that doubles cannot tell it from what was "
             "assumed at the start. Give a shorter schedule."

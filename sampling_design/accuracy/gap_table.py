@@ -177,7 +177,7 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
                 break  # what has grown so far says nothing more of sizes, and would overflow
             flow = step @ flow
             covariance = covariance if period else propagate(covariance, step, reached)
-        reach = np.sqrt(np.diag(covariance))
+        reach = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         if not period and np.all((reach > 0) | (observed > 0)):
             break
     observed = np.sqrt(np.where((reach > 0) | (observed > 0), observed, later))

@@ -24,7 +24,7 @@ from sampling_design.numerics.filtering import (
     largest_first,
     root_update,
 )
-from sampling_design.numerics.linalg import psd_root
+from sampling_design.numerics.linalg import psd_root, right_directions
 from sampling_design.records.arrays import Array, Mask
 
 COARSER = (1e-5, 1e-4, 1e-3, 1e-2)
@@ -115,20 +115,29 @@ class RootedPeriod:
             root = carried(root, F, noise)
         return after, root, error
 
-    def exactly(self, root: Array, exact: Sequence[Mask], rounding: float) -> tuple[list[Array], Array]:
-        """Return roots after each sample, and that at the period's end, where `exact` sensors have no noise at all.
+    def exactly(self, root: Array, exact: Sequence[Mask], rounding: float, periods: int = 1) -> list[Array]:
+        """Return roots after each sample of the last period, where `exact` sensors have no noise at all.
 
-        Of `root` so large a share is `rounding`.
+        What a root leaves of a state that is known is rounding, which has no size to be judged by: what is `unknown` is
+        followed beside it as a space, where a row at an angle below `rounding`, or noise below that share, is none.
         """
-        after = []
-        for F, H, noise, own in zip(self.F, self.rows, self.noise, exact, strict=True):
+        unknown, after = np.eye(len(root)), list[Array]()
+        for F, H, noise, own in [*zip(self.F, self.rows, self.noise, exact, strict=True)] * periods:
             if not own.all():
                 root = root_update(largest_first(root), H[~own], np.zeros((np.count_nonzero(~own), 1)))[0]
             for row in H[own]:
-                root = exact_update(root, row, rounding)
+                shown = row @ unknown
+                if np.linalg.norm(shown) > rounding * np.linalg.norm(row):
+                    left, rest = exact_update(unknown.T @ root, shown), right_directions(shown[None])[1][1:].T
+                    unknown = unknown @ rest
+                    root = unknown @ (rest.T @ left)
             after.append(root)
-            root = carried(root, F, noise)
-        return after, root
+            unknown = np.linalg.qr(F @ unknown)[0]
+            beside, sizes, _ = np.linalg.svd(noise - unknown @ (unknown.T @ noise))
+            driven = np.count_nonzero(sizes > rounding * np.linalg.norm(noise))
+            unknown = np.hstack([unknown, beside[:, :driven]])
+            root = unknown @ (unknown.T @ carried(root, F, noise))
+        return after[-len(self.F) :]
 
     def walking(self, noise: Array) -> RootedPeriod:
         """The period with this noise, a root, joining at its end."""

@@ -124,7 +124,9 @@ def lasting_part(plant: Plant, period: float, noise: Array | None = None) -> Det
     above, many = _spanned(across[:, rank:].T @ np.hstack(growing))
     U = _cleaned(across[:, rank:] @ above)  # what grows and no noise reaches, then what it reaches
     names = Signals([f"lasting{i + 1}" for i in range(U.shape[1])])
-    reduced = replace_matrices(plant, U.T @ A @ U, plant.C * d @ U, U.T / d, names)
+    C = plant.C * d
+    shown = np.where(np.abs(C @ U) > ROUNDED * (np.abs(C) @ np.abs(U)), C @ U, 0.0)
+    reduced = replace_matrices(plant, U.T @ A @ U, shown, U.T / d, names)
     A, G = reduced.A.copy(), reduced.G.copy()
     A[:many, many:] = G[:many] = 0.0
     return DetectablePart(replace(reduced, A=A, G=G), d[:, None] * U, np.zeros((plant.n_states, 0)), ())

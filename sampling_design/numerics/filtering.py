@@ -119,16 +119,10 @@ def root_update(root: Array, rows: Array, innovation: Array) -> tuple[Array, Arr
     return known * _triangle(*known.shape), R[:p, p:].T.dot(half), half
 
 
-def exact_update(root: Array, row: Array, rounding: float) -> Array:
-    """Return a covariance's root (n, m) after a sensor without noise has read one row: what it shows is a column less.
-
-    A row of which the root shows no more than this share of its terms is known already: the rest is rounding.
-    """
+def exact_update(root: Array, row: Array) -> Array:
+    """Return a root (n, m) of a covariance after a sensor without noise has read one row: of a column less."""
     root = largest_first(root)
-    shown = row @ root
-    if np.linalg.norm(shown) <= rounding * (np.abs(row) @ np.linalg.norm(root, axis=1)):
-        return root
-    lower = np.asarray(np.linalg.qr(np.column_stack([shown, root.T]), mode="r"), dtype=np.float64).T
+    lower = np.asarray(np.linalg.qr(np.column_stack([row @ root, root.T]), mode="r"), dtype=np.float64).T
     return lower[1:, 1:]
 
 

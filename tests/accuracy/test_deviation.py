@@ -13,6 +13,7 @@ from sampling_design.accuracy import deviation, riccati, sampled_system
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.riccati import RootedPeriod
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
+from tests.cases import few
 from tests.oracles.families import flow
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], states=["position", "velocity"])
@@ -283,18 +284,18 @@ def test_growth_that_no_double_follows_is_undecided_and_never_a_number(growth, s
 
 
 def from_nothing(A, C, W, v, times, end):
-    """Deviations at the end of a finite schedule, its start 10^30 wide, in 120 digits; infinite if they follow it."""
+    """Deviations at the end of a finite schedule, its start 10^30 wide, in 300 digits; infinite if they follow it."""
     n = len(A)
-    with mpmath.workdps(120):
+    with mpmath.workdps(300):
         A, C, M = mpmath.matrix(A), mpmath.matrix(C), mpmath.zeros(2 * n)
-        M[:n, :n], M[:n, n:], M[n:, n:] = -A, W * mpmath.eye(n), A.T
-        P = mpmath.eye(n) * mpmath.mpf(10) ** 60
+        M[:n, :n], M[:n, n:], M[n:, n:] = -A, mpmath.matrix(W), A.T
+        P, noise = mpmath.eye(n) * mpmath.mpf(10) ** 60, mpmath.diag([mpmath.mpf(each) ** 2 for each in v])
         for t, following in zip(times, [*times[1:], end], strict=True):
-            K = P * C.T * (C * P * C.T + mpmath.mpf(v) ** 2 * mpmath.eye(C.rows)) ** -1
+            K = P * C.T * (C * P * C.T + noise) ** -1
             E = mpmath.expm(M * (mpmath.mpf(following) - t), method="taylor")
             F = E[n:, n:].T
             P = F * (P - K * C * P) * F.T + F * E[:n, n:]
-        found = [float(mpmath.sqrt(P[i, i])) for i in range(n)]
+        found = [float(mpmath.sqrt(abs(P[i, i]))) for i in range(n)]
     return [x if x < 1e20 else np.inf for x in found]
 
 
@@ -311,7 +312,7 @@ def from_nothing(A, C, W, v, times, end):
 def test_a_start_of_which_nothing_is_known_leaves_no_trace(A, C, growth):
     """ "Infinite" was said from e^5 a gap on, and 3 to 20 % too little of a state that is seen weakly."""
     A, times = growth * np.array(A), [0.0, 1.0, 2.0, 3.0]
-    truth = from_nothing(A.tolist(), C, 1.0, 0.3, times, 4.0)
+    truth = from_nothing(A.tolist(), C, np.eye(2).tolist(), [0.3], times, 4.0)
     weak = growth == 20.0 and A[0, 1] != 0
     said = (
         pytest.raises(UndecidedError, match=r"the samples show some state so weakly|becomes so small beside the rest")
@@ -323,6 +324,23 @@ def test_a_start_of_which_nothing_is_known_leaves_no_trace(A, C, growth):
             sd.Plant(A, C), sd.Schedule(times), w_intensity=1.0, v_deviation=0.3, end=4.0
         )
         assert found.profile[:, -1] == pytest.approx(truth, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", few(range(40), 3, 9, 17))
+def test_what_an_exact_sensor_has_shown_is_not_shown_again(seed):
+    """In any states and units: rounding that a known state leaves, read as if it were one, took others' deviations."""
+    rng = np.random.default_rng(seed)
+    A = np.diag(rng.choice([-0.5, 0.0, 0.25], 3)) + np.triu(rng.choice([0.0, 0.0, 0.5], (3, 3)), 1)
+    C, G = np.triu(rng.choice([-2.0, -1.0, 1.0], (3, 3))), np.diag([1.0, *rng.integers(0, 2, 2)])
+    times, exact = np.cumsum(rng.choice([0.25, 0.5, 2.0], 5)), [0.3, rng.choice([0.0, 0.3]), 0.0]
+    digits = [each or 1e-25 for each in exact]
+    truth = from_nothing(A.tolist(), C.tolist(), (G @ G.T).tolist(), digits, times.tolist(), times[-1] + 1)
+    for steps, unit in product((0, 3), (1.0, 2.0**20)):
+        T, back = of_integers(rng, 3, steps)
+        plant = sd.Plant(T @ A @ back, unit * C @ back, G=T @ G)
+        sizes = {"w_intensity": 1.0, "v_deviation": unit * np.array(exact), "end": times[-1] + 1}
+        found = sd.accuracy.standard_deviation(plant, sd.Schedule(times), of=back, **sizes).profile[:, -1]
+        assert found == pytest.approx(truth, rel=1e-6, abs=1e-8 * np.linalg.cond(T))
 
 
 def test_growth_says_so():

@@ -134,3 +134,8 @@ def test_gaps_of_a_record_are_integrated_as_closely_as_others_with_a_tenth_of_th
     truth = sum(float((np.linalg.norm(p, axis=1) if ball else np.abs(p)).sum()) for p in flows)
     assert truth * (1 - 1e-6) <= found <= of_period * (1 + 1e-4)
     assert found <= truth * (1 + 1e-4)
+
+
+def test_a_variance_that_rounding_makes_negative_is_none():
+    """In states that nearly depend on each other what w does to one is a difference: 1e-20 less than nothing."""
+    assert gap_table.state_scales(np.eye(1)[None], np.array([[[-1e-20]]]), [2 * np.eye(1)]) == pytest.approx(0.5)

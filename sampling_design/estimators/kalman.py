@@ -17,7 +17,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, WindowStart
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
 from sampling_design.estimators.online.recorder import Recorder, SolvedSample
@@ -33,7 +33,7 @@ from sampling_design.estimators.online.verdict import (
 )
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
-from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
+from sampling_design.estimators.windowed_estimator import WindowedEstimator
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.count.functional import part_for
@@ -158,7 +158,7 @@ class KalmanFilter(WindowedEstimator):
                 contradiction=self._contradiction(sample, last.number + 1, (weighted_innovation, cost), (terms, own))
             )
         half, flag = lapack.dtrtri(deviation, 1)
-        precision = None if flag else CovariancePrecision.of(Y, half.T, 1.0)
+        precision = None if flag else CovariancePrecision.of(Y, half.T)
         return self.recorder.node(state, new, SolvedSample(x, Y, verdict, "filter", "", past + cost, precision), begun)
 
     def _with_means(self, state: EstimatorState, new: IncomingNode) -> HistoryNode:
@@ -171,7 +171,7 @@ class KalmanFilter(WindowedEstimator):
             if node.t > nodes[at].t and nodes[0].t <= begun < nodes[at].t:
                 at = state.node_before(begun)
         first = nodes[at]
-        start = WindowStart(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
+        start = WindowStart(first.t, first.x, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
         window = self._window(state, start, new)
         solution, passed = smooth(window), float(window.discount[0])
         terms = (
@@ -238,7 +238,7 @@ class KalmanFilter(WindowedEstimator):
         if len(nodes) == 1:
             return EstimateRecord.collect(self.plant, [])
         first, last = nodes[0], nodes[-1]
-        start = WindowStart(first.t, first.x, first.beta, None, nodes[1:-1])
+        start = WindowStart(first.t, first.x, first.x, first.beta, None, nodes[1:-1])
         window = fresh._window(fresh.state, start, last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is looked at
             smoothed, latest = smooth(window), last.estimate

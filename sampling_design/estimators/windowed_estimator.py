@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from sampling_design.estimators.constraints.convex_set import all_inside
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, StateBox
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, StateBox, WindowStart
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
 from sampling_design.estimators.online.recorder import Recorder, SolvedSample
@@ -37,7 +37,7 @@ from sampling_design.estimators.online.verdict import (
 )
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
-from sampling_design.estimators.window.sliding import BandCache, InitialNode
+from sampling_design.estimators.window.sliding import BandCache
 from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import covariance_root
@@ -50,16 +50,6 @@ LEFT_OUT = "A composite sample began before the window: it counts for the interv
 DRIFT = 4.0
 """Times what the truth may cost: up to there the cost of a reference does not show in the margin of the dual bound, so
 that radii are the same whatever the references are. From that cost itself on, nodes to come take their estimates."""
-
-
-class WindowStart(NamedTuple):
-    """Where a window begins: time, prior, bound on the prior term, root of P^-1 (None for P2's), nodes inside."""
-
-    s: float
-    x: Array
-    energy: float
-    root: Array | None
-    inside: tuple[HistoryNode, ...]
 
 
 class WindowedEstimator(OnlineEstimator):
@@ -252,7 +242,7 @@ class WindowedEstimator(OnlineEstimator):
         slack = SAME_TIME_ULPS * math.ulp(max(abs(t), self.horizon))
         given = nodes[0].sample.y is None
         if given and s <= nodes[0].t + slack:
-            return WindowStart(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
+            return WindowStart(nodes[0].t, nodes[0].x, nodes[0].x, nodes[0].beta, None, nodes[1:])
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
         closed = self.weights.cost == "paper" and node.sample.y is not None
@@ -265,13 +255,13 @@ class WindowedEstimator(OnlineEstimator):
             closed = False
         inside = nodes[anchor if closed else anchor + 1 :]
         if self.arrival_cost == "filtered":
-            return WindowStart(s, x, beta, covariance_root(Y), inside)
+            return WindowStart(s, x, node.x, beta, covariance_root(Y), inside)
         if not math.isfinite(beta):
-            return WindowStart(s, x, beta, None, inside)
+            return WindowStart(s, x, node.x, beta, None, inside)
         if self._worst[0] is not Y:
             left, right = self._prior_roots
             self._worst = Y, float(lapack.dsyev(left.dot(Y).dot(right), 0)[0][-1])
-        return WindowStart(s, x, self._worst[1] * beta, None, inside)
+        return WindowStart(s, x, node.x, self._worst[1] * beta, None, inside)
 
     def _propagated_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
@@ -314,12 +304,11 @@ class WindowedEstimator(OnlineEstimator):
         if not sliding.append(new, reference, predicted=first < len(nodes)):
             return None
         self._histories.begun(sliding)
-        begun, limited = InitialNode(s, start.x, prior, initial), self.constraints.active
-        optimum = sliding.solve(at, begun, gap, limited)
+        optimum = sliding.solve(at, start, prior, initial, gap, self.constraints.active)
         if optimum is None:
             return None
         if optimum.path is not None:
-            if not self.constraints.hold(optimum.path, lambda: sliding.samples(at, begun)):
+            if not self.constraints.hold(optimum.path, lambda: sliding.samples(at, initial)):
                 return None
             if self._between is not None and self.constraints.x is not None:
                 points = self._between.states(state, [s, *(node.t for node in nodes[first:])], optimum.path)

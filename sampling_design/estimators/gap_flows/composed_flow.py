@@ -112,7 +112,7 @@ class ComposedFlow:
         terms = self._around.get(digit)
         if terms is None:
             terms = self._around[digit] = self._expanded(digit)
-        flow: Array = np.power((h - digit * self._unit) * self._norm, self._powers).dot(terms).take(self._whole)
+        flow: Array = np.power((h - digit * self._unit) * self._norm, self._powers).dot(terms)[self._whole]
         return flow
 
     def _expanded(self, digit: int) -> Array:

@@ -56,8 +56,8 @@ class GapFlow:
     integral, inputs : (n, n), (n, m)
         int_0^h e^{A s} ds, and that times B.
     joint : (2n, 2n) or None
-        [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], what states at both ends of the gap cost together; None where W is
-        singular or badly conditioned.
+        [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]] with F times the root of growth: what states at both ends of the gap cost
+        together, each times the root of its own discount; None where W is singular or badly conditioned.
     band : (2, n, 2n)
         Its lower triangle, column after column, from the diagonal down.
     undiscounted : (n, n) or None
@@ -138,7 +138,7 @@ class GapFlow:
     def weighed(self) -> bool:
         """Find what states at both ends cost together; whether it can be had. Overflows are not inverted, but said."""
         if self._ends is None:
-            self._ends = _joint(self.F, self.W)
+            self._ends = _joint(self.F, self.W, self.growth)
         return self._ends is not _NO_ENDS
 
     def _looked_at(self) -> _BothEnds:
@@ -166,7 +166,7 @@ class GapFlow:
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric, with what rounding may hide of it."""
-        return inflated(self._carried(Y).take(_mirrored(len(Y))))
+        return inflated(self._carried(Y).ravel()[_mirrored(len(Y))])
 
     def _carried(self, Y: Array) -> Array:
         moved: Array = self.F.dot(Y).dot(self.F.T).dot(self.growth)
@@ -196,7 +196,7 @@ def lower_band(matrix: Array, n: int) -> Array:
     m is 1 or 2: what stands in it is a block of its column and the one below.
     """
     places, held = _band_places(len(matrix), n)
-    band: Array = matrix.take(places)
+    band: Array = matrix.ravel()[places]
     band *= held
     return band
 
@@ -372,7 +372,8 @@ def prepare_joint(flows: list[GapFlow]) -> None:
     """Find what states at both ends of some gaps cost together, where no digits are lost."""
     F, W = np.array([flow.F for flow in flows]), np.array([flow.W for flow in flows])
     half, condition, fit = _halves(W)
-    both = np.concatenate((half @ F, -half), axis=2)
+    root = np.array([math.sqrt(flow.growth) for flow in flows])
+    both = np.concatenate((half @ F * root[:, None, None], -half), axis=2)
     joint = both.transpose(0, 2, 1) @ both
     fit &= np.isfinite(joint).all(axis=(1, 2))
     bands = _bands(joint, W.shape[1])
@@ -391,16 +392,13 @@ def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
         flows[k].arrived(Y, (information[k], bands[k, 0]))
 
 
-def _joint(F: Array, W: Array) -> _BothEnds:
-    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], how far it may be off, and its lower band.
-
-    None where it would lose six digits.
-    """
+def _joint(F: Array, W: Array, growth: float) -> _BothEnds:
+    """Return `joint` of a gap, how far it may be off, and its lower band; None where it would lose six digits."""
     half, n = _half(W), len(F)
     if half is None:
         return _NO_ENDS
     both = np.empty((2 * n, n))  # transposed, so that each half of it is one piece
-    F.T.dot(half.T, both[:n])
+    F.T.dot(half.T.dot(math.sqrt(growth)), both[:n])
     np.negative(half.T, both[n:])
     joint = both.dot(both.T)
     condition, diagonal = _condition(W, joint[n:, n:]), joint.diagonal()

@@ -182,6 +182,19 @@ class HistoryNode(NamedTuple):
         return self.sound if self.known is None else self.known.stands
 
 
+class WindowStart(NamedTuple):
+    """Where a window begins: time, prior and the state of the node that it was propagated from; bound on the prior
+    term, root of P^-1 (None for P2's), nodes inside.
+    """
+
+    s: float
+    x: Array
+    led: Array
+    energy: float
+    root: Array | None
+    inside: tuple[HistoryNode, ...]
+
+
 class InputHistory(Sequence[tuple[float, Array]]):
     """Pairs (t, u) by time, never changed; one that is later than all is added without a copy of those before it.
 

@@ -56,16 +56,15 @@ def passed(node: HistoryNode, flow: GapFlow, drift: Array | None, x: Array) -> A
 
 
 class CovariancePrecision(NamedTuple):
-    """Of a covariance Y: |U|, r with U U' = r Y^-1, and the trace of the inverse of Y's correlations."""
+    """Of a covariance Y: |U| with U U' = Y^-1, and the trace of the inverse of Y's correlations."""
 
     size: Array
-    scale: float
     condition: float
 
     @classmethod
-    def of(cls, Y: Array, U: Array, scale: float) -> CovariancePrecision:
-        """Return that of Y = scale (U U')^-1."""
-        return cls(abs(U), scale, sum(Y.diagonal().dot(U * U).tolist()) / scale)
+    def of(cls, Y: Array, U: Array) -> CovariancePrecision:
+        """Return that of Y = (U U')^-1."""
+        return cls(abs(U), sum(Y.diagonal().dot(U * U).tolist()))
 
 
 def held_entries(Y: Array, size: Array, bound: float) -> tuple[Array, Array, float]:
@@ -91,8 +90,8 @@ def in_units_of(Y: Array, size: Array, precision: CovariancePrecision | None = N
     counts as known to n eps of the rest.
     """
     if precision is not None:
-        half, scale, near = precision
-        far = math.hypot(*size.dot(half).tolist()) / math.sqrt(scale)
+        half, near = precision
+        far = math.hypot(*size.dot(half).tolist())
         # beyond all numbers there is no radius, as below
         return (far * far, near) if math.isfinite(far) and math.isfinite(near) else (0.0, 0.0)
     unit = np.sqrt(Y.diagonal())

@@ -64,15 +64,17 @@ class EstimationWindow:
 
     @cached_property
     def joint(self) -> Array | None:
-        """Discounted costs of the states at both ends of every gap, (N, 2n, 2n): see `GapFlow.joint`.
+        """Costs of the states at both ends of every gap, (N, 2n, 2n): see `GapFlow.joint`.
 
         None if some W, or the covariance of a carried prior, is not to be inverted.
         """
         blocks = [flow.joint for flow in self.flows]
         if any(block is None for block in blocks) or not self._prior_fits:
             return None
-        n = self.reference.shape[1]
-        return np.array(blocks).reshape(-1, 2 * n, 2 * n) * self.discount[1:, None, None]
+        n, root = self.reference.shape[1], np.sqrt(self.discount)
+        ends = np.repeat(np.column_stack([root[:-1], root[1:]]), n, axis=1)
+        joint: Array = np.array(blocks).reshape(-1, 2 * n, 2 * n) * ends[:, :, None] * ends[:, None, :]
+        return joint
 
     @property
     def _prior_fits(self) -> bool:

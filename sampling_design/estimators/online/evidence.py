@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from sampling_design.numerics.filtering import correlation_root
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, requested_rows
 from sampling_design.records.arrays import Array
+
+_known = attrgetter("known")
 
 SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds
 FACTOR_WITHIN = 1e-3  # share within which the factor is found by which the noise of a sample would have to be larger
@@ -79,7 +82,8 @@ class EstimateEvidence:
 
     def __init__(self, assumed: EstimateAssumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
         self.assumed, self.inputs, self.radius_known = assumed, inputs, known
-        self.samples, self.box = tuple([node.known for node in nodes if node.known is not None]), nodes[0].box
+        self.samples: tuple[KnownSample, ...] = tuple(map(_known, nodes))  # those of a linear plant's nodes
+        self.box = nodes[0].box
 
     def rests_on(self, nodes: tuple[HistoryNode, ...], inputs: InputHistory) -> bool:
         """Whether it is what these nodes and inputs prove."""

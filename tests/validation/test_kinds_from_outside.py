@@ -4,9 +4,11 @@ Each is what `docs/contributing.md` shows: one class, and a line for each verb t
 """
 
 import re
+import sys
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,8 @@ from sampling_design.estimators.estimator_choice import estimate
 from sampling_design.records import dispatch
 from sampling_design.schedules.family import OUTWARD, FamilyStep, SamplingFamily
 from tests.house.sources import PACKAGE
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 # --- a kind of plant: what it is, and a verb at a time what is done about it ------------------------------------------
 
@@ -186,9 +190,24 @@ def test_an_estimator_is_given_what_the_protocol_says_of_inputs_and_of_outputs_t
 def test_pages_show_this_very_observer():
     own = Path(__file__).read_text().partition("class Luenberger:")[2].partition("\nGAIN")[0]
     code = [line.strip().replace(": Any", "").replace("-> Any", "") for line in own.splitlines() if "(self" not in line]
-    for page in ("own_estimator.md", "contributing.md"):
-        text = (Path(__file__).parents[2] / "docs" / page).read_text()
-        assert [line for line in code if line and not line.startswith('"""') and line not in text] == [], page
+    text = (DOCS / "own_estimator.md").read_text()
+    assert [line for line in code if line and not line.startswith('"""') and line not in text] == []
+
+
+def test_what_contributors_are_shown_runs_as_it_stands(monkeypatch, capsys):
+    for home, name in ((dispatch, "_OFFERED"), (SamplingFamily, "KINDS")):
+        monkeypatch.setattr(home, name, dict(getattr(home, name)))
+    monkeypatch.setitem(sys.modules, "contributor", shown := ModuleType("contributor"))
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "contributing.md").read_text(), re.DOTALL)
+    assert len(blocks) == 3
+    said = []
+    for block in blocks:
+        assert block.count("\n") < 60
+        exec(compile(block, "contributing.md", "exec"), vars(shown))
+        said.append(capsys.readouterr().out)
+    assert "ValidationReport" in said[0]
+    assert "WindowSigma" in said[1]
+    assert re.search("passed +yes", said[2])
 
 
 def test_an_estimator_that_lets_errors_grow_is_found_out(pendulum):

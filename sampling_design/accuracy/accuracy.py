@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket, AccuracyProfile
-from sampling_design.accuracy.between_samples import speed_of
+from sampling_design.accuracy.between_samples import RowSearch, speed_of
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.accuracy.deviation import StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.results_out import SAME
 from sampling_design.accuracy.sampled_system import SampledSystem
-from sampling_design.accuracy.search import GainSearch, RowSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.timing import moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, left_open, strongest_witness

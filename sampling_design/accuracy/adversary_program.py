@@ -63,7 +63,8 @@ def boxed(system: SampledSystem, nodes: list[int]) -> bool:
 class ConeWindow:
     """Samples `nodes` of a system, the target's last; `start`: bounds on |z| before the first, or a set of them.
 
-    `lasting`: adversaries begin as what has gone on for ever, with which those bounds agree.
+    `lasting`: adversaries begin as what has gone on for ever, with which those bounds agree. `rough`: tolerance that is
+    enough of a large program.
     """
 
     def __init__(
@@ -73,14 +74,20 @@ class ConeWindow:
         start: InitialSet,
         tolerance: float = TOLERANCE,
         lasting: LastingResponses | None = None,
+        rough: float | None = None,
     ):
         self.system, self.nodes, self.start = system, nodes, start
-        self._tolerance, self._lasting = tolerance, lasting
+        self._tolerance, self._lasting, self._rough = tolerance, lasting, rough
         self._gaps, self._samples = [system.gap(j) for j in nodes[:-1]], [system.samples[j] for j in nodes]
         self._stages = self._staged()
         self._built = False
         if self._stages is None:
             self._build()
+
+    @property
+    def entries(self) -> int:
+        """About how many its program has."""
+        return sum(gap.F.size + gap.cells.size for gap in self._gaps)
 
     def _moved(self) -> list[Array]:
         """What w on the cells of each gap adds to z at its end."""
@@ -121,7 +128,8 @@ class ConeWindow:
         if system.bounds.w_ball and q:
             table.unit_balls(K * n, q, (before - K * n) // q)
         self._columns = table.columns
-        self._b, self._solver = table.b(), ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance)
+        self._b = table.b()
+        self._solver = ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance, rough=self._rough)
 
     def _solved(self, mu: Array, enough: float = 0.0) -> StageSolution:
         """Point and multipliers for the target mu'z_K; zeros where the solver brought none."""

@@ -6,7 +6,7 @@ its ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm directions 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -56,6 +56,32 @@ class RowBetweenSamples:
             return self
         nodes = (self.d, self.mu, self.bend, self.third, self.above, self.below, self.slope)
         return RowBetweenSamples(*(values[first:] for values in nodes))
+
+
+@dataclass(eq=False)
+class RowSearch:
+    """One row over the whole schedule: where it was solved and an adversary sought, and the bracket.
+
+    By nodes of the system, of those after which it is judged, in order of time.
+    """
+
+    row: Array
+    opened: dict[int, RowBetweenSamples]
+    nodes: dict[int, Array]  # bounds at the offsets of each gap
+    panels: dict[int, Array]  # bounds all along its panels
+    solved: dict[int, dict[int, int]]  # offsets at which the program was solved, with the samples back that it took
+    tried: set[tuple[int, int]] = field(default_factory=set)  # where an adversary was sought
+    combined: set[tuple[int, int]] = field(default_factory=set)  # where gains of directions were put together
+    lower: float = 0.0
+    upper: float = np.inf
+    worst: tuple[int, int] = (0, 0)
+    closed: bool = False
+    size: float = 0.0  # what disturbance and noise of a period make of the row
+
+    @property
+    def idle(self) -> bool:
+        """Whether adversaries attain nothing."""
+        return bool(self.tried) and self.lower <= NEGLIGIBLE**2 * self.size
 
 
 Integrals: TypeAlias = tuple[Array, Array, Array, Array, Array]

@@ -167,7 +167,8 @@ class BoundedDirections:
         nearest = np.argmax(size, axis=1)
         for first in (alone,) if np.array_equal(alone, nearest) else (alone, nearest):
             across = cosines[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
-            other = np.argsort(-np.where(across < 0, size, size - 2), axis=1)[:, :PARTNERS]
+            apart = np.where(across < 0, -size, 2 - size)
+            other = np.argpartition(apart, min(PARTNERS, directions) - 1, axis=1)[:, :PARTNERS]
             firsts += [first] * other.shape[1]
             seconds += list(other.T)
         tried(np.array(firsts), np.array(seconds))

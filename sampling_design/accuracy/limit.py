@@ -8,11 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from sampling_design.accuracy.between_samples import RowSearch
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.sampled_system import periodic_system
-from sampling_design.accuracy.search import GainSearch, RowSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, OTHER_STATES, DetectablePart, known_part, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError, UndecidedError

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, boxed
-from sampling_design.accuracy.between_samples import NEGLIGIBLE, KnownIntegrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.between_samples import NEGLIGIBLE, KnownIntegrals, RowBetweenSamples, RowSearch, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections, combined
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, filtered, transferred_gains
@@ -28,8 +28,13 @@ ADVERSARIES = (8, 32)  # sought for the profile of one row, where one of them is
 ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
 SMALL = 20000  # states times states and entries of w, all along the window, of a small program
 TAIL = 64  # samples back to which gains that are put together go on as the filter's, at most
+PROGRAM, FITTED = (1e-3, 1e-6), (1e-3, 2e-8)
+"""Counted: a cone program, and each entry of it; a gap's offsets for known directions, and each of both and state."""
+
+STRETCH = 32  # panels of a gap at the highest of which gains are put together at once
 FOLLOWED = 8  # states from which on that costs less than the programs that it saves
 TOLERANCE, ROUGH = 1e-7, 1e-5  # asked of the solver: what both sides prove is second order in it; for gains alone
+DIGITS, LARGEST = 0.02, 1e-4  # share of a bracket's width that a large program's two sides may part by, and the most
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
 LONGEST = 4096  # samples back beyond which the past is not followed
 FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
@@ -37,32 +42,6 @@ FADING = 256  # the same where nothing is attained: a drift is known twice as we
 CLOSER = 0.1
 """Share of what parts two sides that longer gains must take away where nothing drives a mode: all directions that it
 turns through are then solved anew, and what is attained may be as far below for ever."""
-
-
-@dataclass(eq=False)
-class RowSearch:
-    """One row over the whole schedule: where it was solved and an adversary sought, and the bracket.
-
-    By nodes of the system, of those after which it is judged, in order of time.
-    """
-
-    row: Array
-    opened: dict[int, RowBetweenSamples]
-    nodes: dict[int, Array]  # bounds at the offsets of each gap
-    panels: dict[int, Array]  # bounds all along its panels
-    solved: dict[int, dict[int, int]]  # offsets at which the program was solved, with the samples back that it took
-    tried: set[tuple[int, int]] = field(default_factory=set)  # where an adversary was sought
-    combined: set[tuple[int, int]] = field(default_factory=set)  # where gains of directions were put together
-    lower: float = 0.0
-    upper: float = np.inf
-    worst: tuple[int, int] = (0, 0)
-    closed: bool = False
-    size: float = 0.0  # what disturbance and noise of a period make of the row
-
-    @property
-    def idle(self) -> bool:
-        """Whether adversaries attain nothing."""
-        return bool(self.tried) and self.lower <= NEGLIGIBLE**2 * self.size
 
 
 class GainSearch:
@@ -79,6 +58,7 @@ class GainSearch:
         self._windows: dict[tuple[int, int, bool, bool, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
+        self._few_digits: float | None = None  # tolerance of large programs
         self.solves = 0
         self._repeats = False  # whether what has gone on for ever may change within a period of the samples
         self._enough: set[int] = set()  # depths that twice as many samples did not improve on
@@ -138,18 +118,24 @@ class GainSearch:
             nodes, start = self.past(j, count, from_zero)
             begun = (system.repeating(nodes[0]) if repeats else system.lasting) if lasting else None
             tolerance = ROUGH if rough and self.follows and not from_zero else TOLERANCE
-            self._windows[key] = ConeWindow(system, nodes, start, tolerance, begun)
+            self._windows[key] = ConeWindow(system, nodes, start, tolerance, begun, self._few_digits)
         return self._windows[key]
 
     def gains(self, j: int, mu: Array, enough: float = 0.0) -> Gains:
         """Gains for mu'z_j over `back` samples, kept with the direction; good ones, if they prove `enough`."""
-        self.solves += 1
-        self._tell()
-        gains = self.window(j, self.back, False).gains(mu, enough)
+        window = self._solving(self.window(j, self.back, False))
+        gains = window.gains(mu, enough)
         if self._tail > self.back:
             gains = min(gains, self.followed(j, mu, gains.gains), key=lambda one: one.value)
         self.directions[j].add(mu, gains)
         return gains
+
+    def _solving(self, window: ConeWindow) -> ConeWindow:
+        """A window about to be solved, counted."""
+        self.solves += 1
+        self._tell()
+        self.budget.add(PROGRAM, window.entries)
+        return window
 
     def sketch(self, j: int, mu: Array) -> None:
         """Keep the filter's gains for rows of mu (m, n), where no others prove more; no solver."""
@@ -184,11 +170,9 @@ class GainSearch:
 
         From rest, or where that leads nowhere or w does not reach all modes, from what has gone on for ever.
         """
-        self.solves += 1
-        self._tell()
         system, lasting = self.system, self.system.lasting
         from_rest = lasting is None or (bool(system.G.any()) and not system.undriven)
-        gains, adversary = self.window(j, self.deep, from_rest, rough, not from_rest).both(mu)
+        gains, adversary = self._solving(self.window(j, self.deep, from_rest, rough, not from_rest)).both(mu)
         if from_rest and lasting is not None and adversary.value <= 0:
             from_rest = False
             gains, begun = self.window(j, self.deep, False, rough, True).both(mu)
@@ -307,6 +291,7 @@ class GainSearch:
     def row(self, row: Array, rtol: float, most: int) -> RowSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""
         found = self.opened(row)
+        self._few_digits = min(LARGEST, rtol * DIGITS)
         limit = self.solves + most
         found.size = float(np.abs(row * self.system.D).sum())
         while True:
@@ -331,7 +316,7 @@ class GainSearch:
             if shallow and high > found.lower * (1 + rtol * SHARE):
                 self._node(found, at, peak)
             elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and self._promising(found, j, offset, enough):
-                if self._combined(found, j, offset) > enough:
+                if self._combined(found, j, offset, enough) > enough:
                     self._node(found, j, offset, enough)
             elif shallow:
                 self._node(found, at, peak)
@@ -380,12 +365,22 @@ class GainSearch:
         untried = (j, offset) not in found.combined and (bool(self.directions[j].gains) or any_solved)
         return offset not in found.solved[j] and (untried or float(found.nodes[j][offset]) > enough)
 
-    def _combined(self, found: RowSearch, j: int, offset: int) -> float:
-        """What the gains of the nearest directions prove together at an offset; no solver."""
+    def _combined(self, found: RowSearch, j: int, offset: int, enough: float = np.inf) -> float:
+        """What the gains of the nearest directions prove together at an offset; no solver.
+
+        Also at the highest offset above `enough` of each of `STRETCH` panels: they are all bounded anew after it.
+        """
         if (j, offset) not in found.combined:
-            found.combined.add((j, offset))
-            for gains in self._guessed(found, j, offset):
-                self.directions[j].add(found.opened[j].mu[offset], gains)
+            nodes, guessed = found.nodes[j], list[tuple[Array, Gains]]()
+            parts = np.array_split(np.arange(nodes.size), max(1, nodes.size // STRETCH)) if enough < np.inf else []
+            tops = [int(part[np.argmax(nodes[part])]) for part in parts]
+            for o in dict.fromkeys([offset, *(o for o in tops if enough < nodes[o] < np.inf)]):
+                if (j, o) not in found.combined:
+                    found.combined.add((j, o))
+                    guessed += [(found.opened[j].mu[o], gains) for gains in self._guessed(found, j, o)]
+            if guessed:
+                mu, gains = zip(*guessed, strict=True)
+                self.directions[j].extend(np.array(mu), gains)
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
@@ -409,6 +404,7 @@ class GainSearch:
         self._refresh(found, j)
 
     def _refresh(self, found: RowSearch, j: int) -> None:
+        self.budget.add(FITTED, len(found.opened[j].d) * len(self.directions[j].gains) * self.system.D.size)
         found.nodes[j], found.panels[j] = found.opened[j].bound(self.directions[j])
         found.lower = max(found.lower, self._reached(found, j))
 

@@ -19,13 +19,13 @@ from dataclasses import replace
 import numpy as np
 
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow
-from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, RowSearch, open_row
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, make_gap
-from sampling_design.accuracy.search import TOLERANCE, GainSearch, RowSearch
+from sampling_design.accuracy.search import TOLERANCE, GainSearch
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, admissible, physical
 from sampling_design.errors import ArgumentError, UndecidedError

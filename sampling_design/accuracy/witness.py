@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.adversary_program import Adversary
-from sampling_design.accuracy.between_samples import NEGLIGIBLE, RowBetweenSamples
+from sampling_design.accuracy.between_samples import NEGLIGIBLE, RowBetweenSamples, RowSearch
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds
 from sampling_design.accuracy.lasting import AMONG, LastingTrajectory, beyond
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.search import GainSearch, RowSearch
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.grouping import balanced_schur

@@ -149,7 +149,7 @@ class GridWindow:
             self._build(self._soft)
         cost[(K - 1) * n : K * n] = -mu / (size or 1.0)
         if self._solver is None:
-            self._solver = ConeSolver(self._A, self._cones, tolerance=TOLERANCE)
+            self._solver = ConeSolver(self._A, self._cones, tolerance=TOLERANCE, rough=STAGED)
         x, y, status = self._solver.solve(cost, self._b)
         return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status
 

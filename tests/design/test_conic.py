@@ -138,6 +138,25 @@ def test_what_a_scaled_program_does_not_solve_is_solved_with_care():
     assert solver._careful is not None
 
 
+def test_of_a_large_program_few_digits_are_enough_if_its_caller_says_so(monkeypatch):
+    rng = np.random.default_rng(2)
+    A, point = rng.normal(size=(60, 12)), rng.normal(size=12)
+    b, cost = A @ point + rng.uniform(0.1, 1.0, 60), -A.T @ rng.uniform(0.0, 1.0, 60)
+    cones, found = [("second order", 30), ("nonnegative", 30)], []
+    b[0] += np.linalg.norm(A[1:30] @ point - b[1:30])
+    for large, rough in ((719, 1e-4), (720, 1e-4), (719, None)):
+        monkeypatch.setattr(conic_programs, "LARGE", large)
+        found.append(ConeSolver(sparse.csc_matrix(A), cones, rough=rough).solve(cost, b))
+    assert [status for _, _, status in found] == ["solved"] * 3
+    few, small, unasked = (cost @ x for x, _, _ in found)
+    assert small == unasked != few
+    assert few == pytest.approx(small, rel=2e-4)
+    monkeypatch.setattr(conic_programs, "LARGE", 0)
+    contradicting = ConeSolver(sparse.csc_matrix([[1.0], [-1.0]]), [("nonnegative", 2)], rough=1e-4)
+    assert contradicting.solve(np.ones(1), np.array([-1.0, -1.0]))[2] == "infeasible"
+    assert contradicting._careful is not None
+
+
 def test_every_problem_is_solved_in_one_thread(monkeypatch):
     """Threads of a solver that wait busily for each other would take the time of other workers."""
     cl, made = conic_programs.clarabel(), []

@@ -56,10 +56,10 @@ class GridSpan(NamedTuple):
 class AccuracyOracle:
     """Judges choices of samples of one problem; how far back it looks is found once and kept."""
 
-    def __init__(self, problem: PlanProblem, discrete: DiscretePlant):
+    def __init__(self, problem: PlanProblem, discrete: DiscretePlant, work: Budget | None = None):
         self.problem, self.discrete = problem, discrete
         self.back = 0
-        self.work = Budget(counted=True)
+        self.work = work or Budget(counted=True)
         self.rows = discrete.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(discrete.T)))
         self.few = int(problem.allowed.sum()) <= FEW
         """Whether so little may be measured that it can be gone through one by one."""
@@ -345,6 +345,12 @@ class AccuracyOracle:
         knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
         long = np.flatnonzero(np.diff(knots) > self.discrete.longest)
         return knots[long[-1] + 1 :] if long.size else knots
+
+    def look_back(self, chosen: Mask) -> None:
+        """Find how far back matters of a choice, from its longest gap; nothing where it hides what never decays."""
+        goals = self.problem.guaranteed
+        if goals and self.hidden(chosen) is None and (spans := self.spans(chosen)):
+            self._look_back(chosen, max(spans, key=lambda span: span.length), goals)
 
     def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> None:
         """Find how far back matters."""

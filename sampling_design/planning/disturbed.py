@@ -32,7 +32,7 @@ def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | Non
     if not plan.keeps:
         return None
     if work is not None:
-        plan.oracle.count(work)
+        plan.count(work)
     bounded = plan.requirement.initial_error is not None
     try:
         sequence, gaps = _settled(plan)
@@ -103,7 +103,7 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
     if not plan.keeps:
         return None
     N = plan.samples
-    plan.oracle.count(work or Budget(counted=True))
+    plan.count(work or Budget(counted=True))
     try:
         late, step, late_ratio = zip(*(_late(plan, k) for k in range(N)), strict=True)
         single = [_judged(plan, without(plan, k, 1)) for k in range(N)]

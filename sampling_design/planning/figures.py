@@ -139,8 +139,8 @@ class PlanStart(PlainRecord):
         return f"Once the plan is started, {self.since()} ({above(self.ratio, 3)} of each)."
 
 
-def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
-    """The accuracy of a choice's goals that are guaranteed; None if it has none."""
+def accuracy_of(problem: PlanProblem, chosen: Mask, work: Budget | None = None) -> Accuracy | None:
+    """The accuracy of a choice's goals that are guaranteed, as far as work lasts; None if it has none."""
     rows = [goal.row for goal in problem.goals if not goal.stochastic]
     if not rows:
         return None
@@ -157,9 +157,9 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     question = AccuracyQuestion.of(plant, align(plant, schedule), problem.requirement.w_bound, v, late=late)
     if question.is_late:
         refuse_tolerance(question, False)
-    whole = Budget()
-    found = answer_of(question, requested_rows(plant, np.array(rows)), RTOL, whole)  # about the middles
-    if whole.over:
+    work = work or Budget()
+    found = answer_of(question, requested_rows(plant, np.array(rows)), RTOL, work)  # about the middles
+    if work.stopped:
         raise KeyboardInterrupt  # who asked holds other choices, whose proofs are whole
     return found
 
@@ -227,9 +227,22 @@ class PlanFigures(TableRecord, PlainRecord):
     @cached_property
     def oracle(self) -> AccuracyOracle:
         """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
-        oracle = AccuracyOracle(self.problem, discretize(self.problem))
-        oracle.judge(self.chosen)
+        return self._judging(Budget(counted=True))
+
+    def _judging(self, work: Budget) -> AccuracyOracle:
+        oracle = AccuracyOracle(self.problem, discretize(self.problem), work)
+        oracle.look_back(self.chosen)
         return oracle
+
+    def count(self, work: Budget) -> None:
+        """Count what the oracle does from now on, and did, as part of some work.
+
+        Raises BudgetSpentError if that is more than there is left.
+        """
+        if "oracle" in vars(self):
+            self.oracle.count(work)
+        else:
+            vars(self)["oracle"] = self._judging(work)
 
     @property
     def clock(self) -> PlanClock:

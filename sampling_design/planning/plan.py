@@ -29,7 +29,6 @@ from sampling_design.planning.plan_record import Plan, limit_of, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import (
     FeasibleChoices,
-    GoalProofs,
     ProvenChoice,
     coarser,
     coarser_grids,
@@ -37,16 +36,16 @@ from sampling_design.planning.proven_choice import (
     lifted_choices,
     lifted_trajectories,
     plan_of,
-    ratios_of,
+    proven_of,
     sparse,
     tighter_margins,
 )
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
-from sampling_design.planning.search_progress import AFTER, AFTERWARDS, CERTIFIED, GAINS, PlanProgress
+from sampling_design.planning.search_progress import AFTER, AFTERWARDS, CERTIFIED, PlanProgress
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget, BudgetSpentError, Progress
 from sampling_design.records.record import above, short
 from sampling_design.records.signatures import checked
@@ -101,8 +100,9 @@ def plan_samples(
         solves and never by a clock: the same plan on every machine, however busy. When it is spent, or three quarters
         of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate,
         robustness and start) may take as much again and two seconds, and what does not fit in is left out, and said
-        (`left_out`). Coarser grids are searched first, with as much as they would be given alone; each adds a quarter
-        and one second. None: no limit.
+        (`left_out`); of a proof that does not, what it says by then is the plan's, which may not keep the tolerances
+        (`keeps`). Coarser grids are searched first, with as much as they would be given alone; each adds a quarter and
+        one second. None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
@@ -111,7 +111,7 @@ def plan_samples(
         Also prove from when on the tolerances are kept after the plan's start; `dates` does where it is not said.
     progress : callable, optional
         Called with the fraction done and a message: the best plan so far (the densest one before any is found), what
-        none costs less than, as soon as that is proven, and the gap.
+        none costs less than, as soon as that is proven, and the gap; then, and from the start, what is being done.
 
     Returns
     -------
@@ -198,18 +198,19 @@ class _Planning:
 
     def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, finer: _Planning | None = None):
         self.problem, self.given = problem, work
-        self.discrete = discretize(problem)
-        self.oracle = AccuracyOracle(problem, self.discrete)
         more = len(coarser_grids(problem))
-        self.oracle.work.seconds = self.oracle.work.limit = work * (1 + COARSER[0] * more) + COARSER[1] * more
-        own = PlanProgress(progress, problem, self.oracle.work)
+        whole = Budget(work * (1 + COARSER[0] * more) + COARSER[1] * more, counted=True)
+        own = PlanProgress(progress, problem, whole)
         self.progress: PlanProgress = own if finer is None else finer.progress
+        self.progress.say("looking at all that may be measured")
+        self.discrete = discretize(problem)
+        self.oracle = AccuracyOracle(problem, self.discrete, whole)
         self.search = PlanSearch(problem, self.oracle, self.progress)
         self.kept = False
         """Whether the densest choice was judged to keep every tolerance."""
         self.least: CostProof | None = None
         """The bound on the cost, once it is proven."""
-        self.feasible = FeasibleChoices(problem, self.oracle.work, self._ratios)
+        self.feasible = FeasibleChoices(problem, self.oracle.work, self._proven)
 
     def started(self) -> list[Mask]:
         """What a search on a coarser grid holds: it is as good on this one, which has all of its times.
@@ -234,6 +235,7 @@ class _Planning:
         except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
             pass
         work.spend(run.oracle.work.spent)
+        self.feasible.lift(run.feasible)
         self.search.add(lifted_trajectories(self.oracle, run.discrete, run.search.pool.trajectories), 1.0)
         return self._lifted(run, best)
 
@@ -357,8 +359,10 @@ class _Planning:
     def _nearest(self, best: ProvenChoice) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
 
-        Raises InfeasibleRequirementError if that is above 1: it is what can be kept.
+        Raises InfeasibleRequirementError if that is above 1, and its proof was not cut: it is what can be kept.
         """
+        if best.cut:
+            return self._record(best, PlanBound((), None, None), False)
         rival = self._better(best, self.problem.cost(best.chosen))
         best = self.feasible.sharpest(rival.incumbents, best)
         best.require_bounded()
@@ -421,13 +425,16 @@ class _Planning:
         assert self.search.chosen is not None
         return self.feasible.proven(self.search.chosen)
 
-    def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
-        """The proof of a choice, and its ratios to the tolerances."""
-        proof, ratios = ratios_of(self.problem, chosen)
-        for part in proof[0].proof if proof[0] is not None else ():
-            for gains in part.gains:
-                self.oracle.work.add(GAINS, len(gains) * self.discrete.n)
-        return proof, ratios
+    def _proven(self, chosen: Mask) -> ProvenChoice:
+        """The proof of a choice, as far as there is work for it: a little after an interrupt or too long a search."""
+        self.progress.say("proving")
+        work, (share, seconds) = self.oracle.work, AFTER[0]
+        left = (1 + share) * work.seconds + seconds - work.spent
+        room = share * work.spent + seconds if work.stopped else max(left, min(work.seconds, seconds))
+        own = Budget(room, counted=True)
+        found = proven_of(self.problem, chosen, own)
+        work.spend(own.spent)
+        return found
 
     def _require_detectable(self) -> None:
         """Refuse goals that not even all that is allowed shows.

@@ -11,7 +11,7 @@ All of its times are times of the finer grid: a choice is one there, and so is a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -128,6 +128,8 @@ class ProvenChoice:
     chosen: Mask
     proof: GoalProofs
     ratios: Array
+    cut: bool = False
+    """Whether it was ended before its proof was whole."""
 
     @property
     def worst(self) -> float:
@@ -143,7 +145,7 @@ class ProvenChoice:
 class FeasibleChoices:
     """Choices of one problem, each proven once at most."""
 
-    def __init__(self, problem: PlanProblem, work: Budget, prove: Callable[[Mask], tuple[GoalProofs, Array]]):
+    def __init__(self, problem: PlanProblem, work: Budget, prove: Callable[[Mask], ProvenChoice]):
         self.problem, self.work, self._prove = problem, work, prove
         self._known: dict[bytes, ProvenChoice] = {}
 
@@ -151,25 +153,46 @@ class FeasibleChoices:
         """What is proven of a choice."""
         key = chosen.tobytes()
         if key not in self._known:
-            self._known[key] = ProvenChoice(chosen, *self._prove(chosen))
+            self._known[key] = self._prove(chosen)
         return self._known[key]
 
+    def lift(self, coarse: FeasibleChoices) -> None:
+        """Know what is proven of choices on a coarser grid: their times, and so their guarantees, are the same here."""
+        for found in coarse._known.values():
+            if found.proof[1] is None:
+                for chosen in lifted_choices(self.problem, [found.chosen]):
+                    self._known.setdefault(chosen.tobytes(), replace(found, chosen=chosen))
+
+    def _first(self, choices: list[Mask], everything: Mask) -> ProvenChoice | None:
+        """The first choice that is proven to keep the tolerances; once a proof was cut, of all others the densest."""
+        cut = False
+        for chosen in choices:
+            if not cut or chosen is everything or chosen.tobytes() in self._known:
+                found = self.proven(chosen)
+                if found.worst <= 1:
+                    return found
+                cut |= found.cut
+        return None
+
     def sharpest(self, incumbents: Iterable[tuple[Mask, float]], best: ProvenChoice) -> ProvenChoice:
-        """The best of what was held, by proof; a choice judged no better than the best is not proven to be better."""
+        """The best of what was held, by proof; a choice judged no better than the best is not proven to be better.
+
+        Once a proof was cut, of what is proven already.
+        """
         for chosen, judged in incumbents:
-            if judged < best.worst:
+            if judged < best.worst and (not best.cut or chosen.tobytes() in self._known):
                 best = min(best, self.proven(chosen), key=lambda found: found.worst)
         return best
 
     def cheapest(self, incumbents: Iterable[Mask], everything: Mask) -> ProvenChoice:
         """The cheapest of what was held, and of all that is allowed, that is proven to keep the tolerances.
 
-        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. Raises
-        UndecidedError if nothing is proven to keep them.
+        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. The densest one if
+        none is and its proof was cut; else UndecidedError if nothing is proven to keep them.
         """
-        cost, best = self.problem.cost, None
+        cost = self.problem.cost
         choices = sorted([*incumbents, everything], key=cost)
-        best = next((found for found in map(self.proven, choices) if found.worst <= 1), None)
+        best = self._first(choices, everything)
         for chosen in choices:
             if best is not None and (self.work.over or cost(chosen) >= cost(best.chosen)):
                 break
@@ -201,6 +224,8 @@ class FeasibleChoices:
                 best, high = found, count
             elif best is None:
                 found.require_bounded()
+                if found.cut:
+                    return found
                 raise UndecidedError(
                     f"No plan was proven to keep the tolerances: the densest one is proven to keep "
                     f"{found.worst:.4g} times them. Ask for less, or allow other hours."
@@ -259,21 +284,21 @@ def _filled(problem: PlanProblem, chosen: Mask, i: int) -> bool:
     return done
 
 
-def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:
-    """The proof of a choice: accuracy for what is guaranteed, and standard deviations."""
-    return accuracy_of(problem, chosen), deviation_of(problem, chosen)
+def proof_of(problem: PlanProblem, chosen: Mask, work: Budget | None = None) -> GoalProofs:
+    """The proof of a choice, as far as work lasts: accuracy for what is guaranteed, and standard deviations."""
+    return accuracy_of(problem, chosen, work), deviation_of(problem, chosen)
 
 
-def ratios_of(problem: PlanProblem, chosen: Mask) -> tuple[GoalProofs, Array]:
+def proven_of(problem: PlanProblem, chosen: Mask, work: Budget) -> ProvenChoice:
     """The same, and the ratios to the tolerances: infinite where nothing bounds what early and late samples do."""
     tolerances = np.array([goal.tolerance for goal in problem.goals])
     try:
-        proof = proof_of(problem, chosen)
+        proof = proof_of(problem, chosen, work)
     except UndecidedError:
         if not problem.timing_tolerance:
             raise
-        return (None, None), np.full_like(tolerances, np.inf)
-    return proof, reached(problem, chosen, *proof) / tolerances
+        return ProvenChoice(chosen, (None, None), np.full_like(tolerances, np.inf), work.over)
+    return ProvenChoice(chosen, proof, reached(problem, chosen, *proof) / tolerances, work.over)
 
 
 def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: str) -> Plan:

@@ -95,8 +95,8 @@ class PlanProgress:
         self.best = f"cost {self.reached:g}, {samples}, {share}" if self._cheapest else f"{share}, {samples}"
 
     def say(self, message: str, fraction: float = 0.0) -> None:
-        """Tell what is known, and what is done; by default as far on as the search's work."""
-        if self.report is None:
+        """Tell what is known, and what is done; by default as far on as the search's work. Not once it is stopped."""
+        if self.report is None or self.work.stopped:
             return
         spent, whole = self.work.spent, self.work.seconds
         searched = SEARCHED * (min(1.0, spent / whole) if np.isfinite(whole) else spent / (spent + HALF))

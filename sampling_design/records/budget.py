@@ -176,6 +176,11 @@ class Budget:
         """Let it be over: after an interrupt what is proven is the answer."""
         self.limit, self.firm = min(self.limit, -1.0), False
 
+    @property
+    def stopped(self) -> bool:
+        """Whether it was."""
+        return self.limit < 0
+
     def __getstate__(self) -> dict[str, object]:
         """What travels to another process or machine, whose clock counts from elsewhere."""
         return {**vars(self), "_sent": (self.spent, time.time())}

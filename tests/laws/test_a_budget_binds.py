@@ -17,6 +17,8 @@ import sampling_design as sd
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.cli import app
 from sampling_design.errors import FileFormatError
+from sampling_design.planning.figures import accuracy_of
+from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.search_progress import AFTER
 from sampling_design.records.budget import ENDLESS, Budget
 from tests import command_lines
@@ -207,6 +209,36 @@ def test_a_plan_ends_with_its_work_and_says_what_did_not_fit(tight, monkeypatch,
         path.write_text(path.read_text().replace('"start"\n', '"a clock"\n', 1))
         with pytest.raises(FileFormatError, match="left_out"):
             sd.read_plan(path)
+
+
+def asked_of(size):
+    """A plant of three states, and goals of such a size."""
+    plant = sd.Plant([[-0.3, 1.0, 0.2], [-1.0, -0.2, 0.4], [0.1, 0.3, -0.1]], [[1.0, 0.0, 0.5]])
+    terms = {"period": 4.0, "grid": 1.0, "w_bound": 0.01, "sensors": {"y1": {"noise_bound": 0.1}}}
+    return plant, sd.PlanRequirement({"x1": size, "x3": size}, **terms)
+
+
+@functools.cache
+def densest():
+    problem = pose_plan(*asked_of(1.0))
+    return accuracy_of(problem, problem.allowed)
+
+
+@pytest.mark.parametrize(("size", "keeps"), [(1.02, False), (4.0, True)])
+def test_a_plan_says_what_was_proven_when_its_work_was_spent(size, keeps, monkeypatch):
+    """Goals as what is proven of all that may be measured, so much larger: what a proof that is cut says by then."""
+    works, extend, seconds = [], Budget.extend, 0.02
+    monkeypatch.setattr(Budget, "extend", lambda work, *limit, **how: (works.append(work), extend(work, *limit, **how)))
+    monkeypatch.setattr("sampling_design.planning.plan.AFTER", ((0.0, 0.0), *TIGHT[1:]))
+    found = sd.plan_samples(*asked_of(size * float(densest().upper.max())), search_seconds=seconds)
+    assert works[0].spent <= 3 * seconds + 0.05  # a few programs for each goal
+    assert found.status == "budget"
+    assert found.keeps == (found.ratio <= 1) == keeps
+    assert found.samples == 4
+    assert not found.accuracy.closed.all()
+    assert (found.reached >= densest().lower).all()
+    assert set(found.left_out) >= {"certificate", *(("robustness", "start") if keeps else ())}
+    assert found.verify()
 
 
 @pytest.mark.parametrize("seconds", [0.1, None])

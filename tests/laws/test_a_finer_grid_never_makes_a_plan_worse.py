@@ -63,6 +63,26 @@ def test_a_search_that_finds_nothing_by_itself_ends_with_what_the_coarser_grid_h
     assert found[0][1] == pytest.approx(found[1][1], rel=1e-9)
 
 
+@pytest.mark.usefixtures("looked_at")
+@pytest.mark.parametrize(("more", "cut"), [(1.0, False), (0.0, True)])
+def test_what_a_coarser_grid_proves_is_not_proven_again(more, cut, monkeypatch):
+    """Its times are the same times: so a proof that was cut there is no worse here."""
+    asked, prove = [], room.proven_of
+
+    def proving(problem, chosen, work):
+        found = prove(problem, chosen, work)
+        asked.append((problem.steps, (np.flatnonzero(chosen.any(axis=1)) * (24 // problem.steps)).tolist(), found.cut))
+        return found
+
+    monkeypatch.setattr(room, "proven_of", proving)
+    monkeypatch.setattr(room, "AFTER", ((0.0, more), *room.AFTER[1:]))
+    wanted = sd.PlanRequirement({"position": 0.35}, grid=6.4 / 24, **GIVEN)
+    best = room._Planning(pose_plan(OSCILLATOR, wanted), 0.05, None).sought()
+    assert len(asked) == len({tuple(times) for _, times, _ in asked}) > 1
+    assert any(was for steps, _, was in asked if steps == 8) == cut
+    assert best.worst <= 1
+
+
 def block(rng, kind, size):
     """A part of a plant: an oscillator, integrators, or what grows or decays slowly."""
     if kind == "oscillator":

@@ -7,7 +7,7 @@ import sampling_design as sd
 from sampling_design.errors import UndecidedError
 from sampling_design.planning import plan as room
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.proven_choice import FeasibleChoices
+from sampling_design.planning.proven_choice import FeasibleChoices, ProvenChoice
 from sampling_design.planning.search import PlanSearch
 from sampling_design.records.budget import Budget
 
@@ -30,9 +30,14 @@ def drawn(rng, problem, count):
     return found
 
 
+def told(chosen, worst):
+    """A proof that says so much."""
+    return ProvenChoice(chosen, (None, None), np.array([worst]))
+
+
 def judged_by(weights, asked):
     """A proof that gains from every sample more, and the number of proofs that were asked for."""
-    return lambda chosen: ((None, None), np.array([asked / max(float(weights @ chosen[:, 0]), 1e-9)]))
+    return lambda chosen: told(chosen, asked / max(float(weights @ chosen[:, 0]), 1e-9))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -58,7 +63,7 @@ def test_without_any_work_left_what_was_proven_is_kept():
 
     def prove(chosen):
         asked.append(chosen.tobytes())
-        return (None, None), np.array([0.9 if asked[-1] == good else 1.1])
+        return told(chosen, 0.9 if asked[-1] == good else 1.1)
 
     best = FeasibleChoices(problem, spent, prove).cheapest(held, np.ones((problem.steps, 1), dtype=bool))
     assert best.chosen.tobytes() == good
@@ -74,7 +79,7 @@ def test_of_equal_costs_only_what_may_be_better_is_proven():
 
     def prove(chosen):
         asked.append(chosen.tobytes())
-        return (None, None), np.array([proven[asked[-1]]])
+        return told(chosen, proven[asked[-1]])
 
     held = FeasibleChoices(problem, Budget(counted=True), prove)
     found = held.sharpest([(same, 0.85), (better, 0.69)], held.proven(first))
@@ -84,7 +89,7 @@ def test_of_equal_costs_only_what_may_be_better_is_proven():
 
 @pytest.mark.long
 def test_a_proof_that_fails_late_gives_back_what_was_held_before(monkeypatch):
-    keep, proof, held = PlanSearch.keep, room._Planning._ratios, []
+    keep, proof, held = PlanSearch.keep, room._Planning._proven, []
 
     def kept(search, chosen, worst):
         if np.isinf(search.problem.most_samples):
@@ -93,10 +98,10 @@ def test_a_proof_that_fails_late_gives_back_what_was_held_before(monkeypatch):
 
     def late(self, chosen):
         early = chosen.sum() == 5 and chosen.tobytes() == held[0].tobytes()
-        return proof(self, chosen) if early else ((None, None), np.array([1.1]))
+        return proof(self, chosen) if early else told(chosen, 1.1)
 
     monkeypatch.setattr(PlanSearch, "keep", kept)
-    monkeypatch.setattr(room._Planning, "_ratios", late)
+    monkeypatch.setattr(room._Planning, "_proven", late)
     monkeypatch.setattr(room._Planning, "_needs_longer_past", lambda self, found: False)
     monkeypatch.setattr(room, "MARGINS", (room.MARGIN,))
     found = sd.plan_samples(OSCILLATOR, WANTED, search_seconds=0.6, **BARE)

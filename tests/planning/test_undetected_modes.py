@@ -1,5 +1,7 @@
 """Motions that never fade and that no disturbance drives: a plan sees them, or says that none can."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -122,9 +124,11 @@ def test_limits_that_leave_only_blind_choices_are_refused():
 
 @pytest.mark.long
 def test_a_search_that_judged_too_well_is_mended_or_says_so(monkeypatch):
-    before = room._Planning._ratios
+    before = room._Planning._proven
     monkeypatch.setattr(
-        room._Planning, "_ratios", lambda self, chosen: (before(self, chosen)[0], np.array([10.0 / chosen.sum()]))
+        room._Planning,
+        "_proven",
+        lambda self, chosen: replace(before(self, chosen), ratios=np.array([10.0 / chosen.sum()])),
     )
     with pytest.raises(UndecidedError, match=r"the densest one is proven to keep 1.667 times them"):
         bare(wanted())

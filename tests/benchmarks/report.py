@@ -75,14 +75,16 @@ class Measured(NamedTuple):
 
 def table(found: list[Measured]) -> list[str]:
     """Return a table, case by case; what answers the same question stands beside what it is compared with."""
-    lines = ["| what is done | of what | one call takes | calls | compared | rounds |", "|---|---|---|---|---|---|"]
+    rows = [("what is done", "of what", "one call takes", "calls", "compared", "rounds")]
     for of in dict.fromkeys(each.case for each in found):
         medians = {each.name: each.median for each in found if each.case == of}
         for name, _, median, rounds in (each for each in found if each.case == of):
             other = COMPARED.get(name)
             beside = f"{times(medians[other] / median)} as fast as {other}" if other in medians else ""
-            lines.append(f"| {name} | {of} | {duration(median)} | {rate(median)} | {beside} | {rounds} |")
-    return lines
+            rows.append((name, of, duration(median), rate(median), beside, str(rounds)))
+    columns = [column for column in zip(*rows, strict=True) if any(column[1:])]  # an empty one says nothing
+    lines = ["| " + " | ".join(row) + " |" for row in zip(*columns, strict=True)]
+    return [lines[0], "|" + "---|" * len(columns), *lines[1:]]
 
 
 def measured(entry: dict) -> Measured:

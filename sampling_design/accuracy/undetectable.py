@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import pairwise
 
 import numpy as np
@@ -91,7 +92,7 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) 
             plant, np.eye(plant.n_states), passed, open_modes(plant.A, d[:, None] * U), d[:, None] * U
         )
     names = Signals([f"known{i + 1}" for i in range(N.shape[1])])
-    reduced = replace_matrices(plant, N.T @ A @ N, plant.C * d @ N, N.T / d, names)
+    reduced = replace_matrices(plant, _product(N.T, A, N), _product(plant.C * d, N), N.T / d, names)
     return DetectablePart(reduced, d[:, None] * N, d[:, None] * U, open_modes(plant.A, d[:, None] * U))
 
 
@@ -124,9 +125,7 @@ def lasting_part(plant: Plant, period: float, noise: Array | None = None) -> Det
     above, many = _spanned(across[:, rank:].T @ np.hstack(growing))
     U = _cleaned(across[:, rank:] @ above)  # what grows and no noise reaches, then what it reaches
     names = Signals([f"lasting{i + 1}" for i in range(U.shape[1])])
-    C = plant.C * d
-    shown = np.where(np.abs(C @ U) > ROUNDED * (np.abs(C) @ np.abs(U)), C @ U, 0.0)
-    reduced = replace_matrices(plant, U.T @ A @ U, shown, U.T / d, names)
+    reduced = replace_matrices(plant, _product(U.T, A, U), _product(plant.C * d, U), U.T / d, names)
     A, G = reduced.A.copy(), reduced.G.copy()
     A[:many, many:] = G[:many] = 0.0
     return DetectablePart(replace(reduced, A=A, G=G), d[:, None] * U, np.zeros((plant.n_states, 0)), ())
@@ -141,6 +140,12 @@ def _spanned(X: Array) -> tuple[Array, int]:
 def _cleaned(U: Array) -> Array:
     """Orthonormal columns without entries that are rounding."""
     return np.where(np.abs(U) > ROUNDED, U, 0.0)
+
+
+def _product(*factors: Array) -> Array:
+    """Their product without entries that are rounding of its terms, which alone would have no size to be judged by."""
+    found, terms = reduce(np.matmul, factors), reduce(np.matmul, map(np.abs, factors))
+    return np.asarray(np.where(np.abs(found) > ROUNDED * terms, found, 0.0))
 
 
 def _invariant_hull(A: Array, U: Array) -> Array:

@@ -237,12 +237,18 @@ def _carried(flows: Array, which: Index, ends: Index, z: Array, w: Array) -> Arr
 
 
 def _least_change(rows: Array, wanted: Array) -> Array:
-    """The shortest solutions (K, m) of rows (K, n, m) x = wanted (K, n), in the sense of least squares."""
+    """The shortest solutions (K, m) of rows (K, n, m) x = wanted (K, n), in the sense of least squares.
+
+    What rows hardly move, rounding alone where states are turned, is moved only where more than rounding is wanted.
+    """
     if not rows.size:
         return np.zeros((len(rows), rows.shape[2]))
     U, s, V = np.linalg.svd(rows, full_matrices=False)
-    regular = s > np.finfo(float).eps * max(rows.shape[1:]) * s[:, :1]
-    part = np.divide(products(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=regular)
+    wanted = products(np.swapaxes(U, 1, 2), wanted)
+    rest = np.maximum.accumulate(np.abs(wanted[:, ::-1]), axis=1)[:, ::-1]
+    needed = rest > CLOSED / rows.shape[1]
+    regular = s > np.where(needed, np.finfo(float).eps * max(rows.shape[1:]), KEPT) * s[:, :1]
+    part = np.divide(wanted, s, out=np.zeros_like(s), where=regular)
     return products(np.swapaxes(V, 1, 2), part)
 
 

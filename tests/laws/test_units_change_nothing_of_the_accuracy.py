@@ -107,3 +107,41 @@ def test_what_is_attained_does_not_hang_on_the_unit_of_time(name, time):
     found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of="x1", rtol=0.05)
     assert found.lower[0] >= found.upper[0] * 0.95
     assert found.verify()
+
+
+TURNED = {
+    "a level beside what decays, undriven": (np.diag([0.0, -0.5]), [[-0.2, -0.7]], [[0.0], [0.0]], 0.7, [1.3]),
+    "a level that moves what decays": ([[0.0, 0.0], [0.1, -0.5]], [[-0.15, 0.4]], [[0.0], [-1.8]], 0.0, [0.8]),
+    "what grows beside a driven lag": (
+        [[-1.7, 0.0, 0.0], [0.0, 0.2, 2.9], [0.0, -2.9, 0.2]],
+        [[-0.3, -0.4, 0.6], [-0.2, -2.1, -0.2]],
+        [[-0.5], [0.0], [0.0]],
+        0.8,
+        [0.3, 0.2],
+    ),
+    "an oscillation beside a driven level": (
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.7], [0.0, -1.7, 0.0]],
+        [[-0.7, -1.3, -1.1], [-0.2, 0.5, -0.5]],
+        [[1.3], [0.0], [0.0]],
+        0.8,
+        [1.4, 2.5],
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "seed"), few(product(TURNED, range(6)), 1, 13))
+def test_other_states_attain_as_much(name, seed):
+    """What a turn leaves where a plant has zeros is rounding: no growth, and nothing that w has to make up for."""
+    A, C, G, w, v = (np.array(each) for each in TURNED[name])
+    rng = np.random.default_rng(seed)
+    T = rng.normal(size=A.shape)
+    while np.linalg.cond(T) > 30:
+        T = rng.normal(size=A.shape)
+    back, schedule = np.linalg.inv(T), sd.PeriodicSchedule([0.7, 1.3])
+    here = sd.guaranteed_accuracy(sd.Plant(A, C, G=G), schedule, w_bound=w, v_bound=v, rtol=0.1)
+    plant = sd.Plant(T @ A @ back, C @ back, G=T @ G)
+    there = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of=back, rtol=0.1)
+    assert np.all(there.lower <= here.upper * (1 + 1e-6) + 1e-9)
+    assert np.all(here.lower <= there.upper * (1 + 1e-6) + 1e-9)
+    assert np.all(there.lower >= here.lower * 0.9 - 1e-9)
+    assert there.verify()

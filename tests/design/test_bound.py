@@ -332,6 +332,24 @@ def test_windows_before_each_sample_bound_every_schedule_of_the_box(window, widt
     assert reached <= ordered_bound(case, case.orthogonal_flow, found[0], zones) ** 2 <= (1.001 + 3 * width) * reached
 
 
+def test_a_bound_by_order_is_what_each_term_is_at_most_however_little_is_seen():
+    """Frequencies that hardly differ: sigma^2 is a millionth of the rows, and between times nothing is left of them."""
+    A, C = turning((1.0, 1.03, 1.06), 1)
+    middle, zones = np.arange(6) * 0.7, np.arange(6)[:, None] * 0.7 + np.array([0.0, 0.3])
+    case = DesignProblem(Plant(A, C), 4.5, 4.5, 0.1, 6, np.zeros((0, 2)), np.zeros(0), (None,))
+    least = np.linalg.eigh(before_each_sample(A, C, middle, 4.5, 4.5))[1][:, :, :1]
+    Z = least @ np.swapaxes(least, 1, 2) / 6
+
+    def total(place, time):
+        times = np.where(np.arange(6) == place, time, middle)
+        return np.einsum("mij,mij->", Z, before_each_sample(A, C, times, 4.5, 4.5))
+
+    most = [max(total(place, t) for t in np.linspace(*zones[place], 61)) for place in range(6)]
+    known = sum(most) - 5 * total(0, 0.0)
+    assert known < 1e-6 * np.sum(C**2)
+    assert known <= ordered_bound(case, case.orthogonal_flow, Z, zones) ** 2 <= 1.002 * known
+
+
 def fourteen_states(**changes):
     A, C = turning((0.5, 0.9, 1.3, 1.7, 2.1, 2.5, 2.9), 3)
     P = 2 * np.pi

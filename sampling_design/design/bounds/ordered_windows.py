@@ -13,6 +13,7 @@ least eigenvalue of all windows is largest (`eigenvalue_program`).
 
 from __future__ import annotations
 
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +21,14 @@ import numpy as np
 from sampling_design.design.bounds.weak_duality import rooted
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import EPS, MANY_STATES, ROUNDING_MARGIN
-from sampling_design.design.problem.orthogonal_flow import STRETCH, OrthogonalFlowWindows, squares
+from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows, squares
 from sampling_design.numerics.eigenvalue_program import EigenvalueBracket, brackets
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
 
 _APART = 1.1  # radians of the fastest quadratic form between two points of a zone: the bound looks between them
 _CELL = 0.09  # radians between two times at which q is evaluated for the bound
+_LOOSE, _ORDERS = 1e-4, 9  # of q: more is not left to what derivatives are at most, up to the eighth
 _NEAR = 3e-3  # relative: a relaxation that is not below its aim ends when it is known so well
 _CONVERGED = 1e-3  # relative: and any other
 _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
@@ -104,35 +106,54 @@ class _OrderedPoints:
 
 
 def ordered_bound(problem: DesignProblem, flow: OrthogonalFlowWindows, Z: Array, zones: Array) -> float:
-    """Bound sigma of every schedule whose samples lie in `zones`, by psd Z (k, n, n) whose traces sum to one.
-
-    Between two times h apart q exceeds its ends by at most h^2/8 max(-q''), and q'' changes by at most h/2 max|q'''|.
-    It holds no frequency beyond w, twice the fastest mode's, so that |q'''| <= w^3 max|q| (Bernstein).
-    """
-    earlier = np.cumsum(Z, axis=0)
+    """Bound sigma of every schedule whose samples lie in `zones`, by psd Z (k, n, n) whose traces sum to one."""
+    earlier, C = np.cumsum(Z, axis=0), problem.plant.C
     times, owner = _grid(zones, _CELL / flow.fastest)
-    A, C = flow.skew, problem.plant.C
+    turned = flow.fastest * flow.period * (flow.repeats + 1)
+    lost = 4 * flow.stretch + ROUNDING_MARGIN * C.shape[1] * EPS * (1 + turned)  # of rows, as a share of their size
     total = 0.0
-    for i, zone in enumerate(zones):
-        t = times[owner == i]
-        values, bend, high = np.zeros(t.size), np.zeros(t.size), 0.0
-        for Y, first in ((earlier[i], 0), (earlier[-1] - earlier[i], 1)):
-            high += float(np.linalg.norm(Y, 2)) * flow.repeats * float(np.sum(C**2))
-            for r in range(first, first + flow.repeats):
-                c = _rows(flow, t + r * flow.period)
-                slope, weighted = c @ A, c @ Y
-                values += np.sum(weighted * c, axis=(1, 2))
-                bend -= 2 * np.sum(weighted * (slope @ A) + (slope @ Y) * slope, axis=(1, 2))
-        h = (zone[1] - zone[0]) / max(t.size - 1, 1)
-        rest = h**2 / 8 * (max(float(bend.max()), 0.0) + h / 2 * flow.fastest**3 * high)
-        total += float(values.max()) + rest + high * _rounding(flow, C)
+    for i in range(len(zones)):
+        pair = earlier[i], earlier[-1] - earlier[i]
+        high = sum(float(np.linalg.norm(Y, 2)) for Y in pair) * flow.repeats * float(np.sum(C**2))
+        total += _highest(flow, pair, times[owner == i], high) + high * lost
     return rooted(problem, total)
 
 
-def _rounding(flow: OrthogonalFlowWindows, C: Array) -> float:
-    """What rounding of rows, and the little that the flow stretches, may take from a form, as a share of its most."""
-    turned = flow.fastest * flow.period * (flow.repeats + 1)
-    return float(4 * STRETCH + ROUNDING_MARGIN * C.shape[1] * EPS * (1 + turned))
+def _highest(flow: OrthogonalFlowWindows, pair: tuple[Array, Array], times: Array, high: float) -> float:
+    """What q is at most between `times` of even steps h, for the multipliers of its two terms; never above `high`.
+
+    It exceeds both ends of a step by at most h^2/8 max(-q''), each derivative changes by at most h/2 times the most of
+    the next, and q holds no frequency beyond w, twice the fastest mode's, so that the j-th is at most w^j `high`
+    (Bernstein). As many are worked out as it takes until what is left is nothing beside q.
+    """
+    h, w = float(times[-1] - times[0]) / max(times.size - 1, 1), flow.fastest
+    rows = [_rows(flow, times + r * flow.period) for r in range(flow.repeats + 1)]
+    chains = [[np.concatenate(each, axis=1)] for each in (rows[:-1], rows[1:])]
+    weighted = [[c[0] @ Y] for c, Y in zip(chains, pair, strict=True)]
+    top = float(np.max(_derivative(chains, weighted, 0)))
+    most: list[float] = []  # of -q'', and of the sizes of the derivatives after it
+    for order in range(2, _ORDERS):
+        for chain, weights, Y in zip(chains, weighted, pair, strict=True):
+            while len(chain) <= order:
+                chain.append(chain[-1] @ flow.skew)
+                weights.append(chain[-1] @ Y)
+        values = _derivative(chains, weighted, order)
+        most.append(max(float(np.max(-values)), 0.0) if order == 2 else float(np.max(np.abs(values))))
+        left = (h / 2) ** (order - 1) * w ** (order + 1) * high
+        if left * h**2 / 8 <= _LOOSE * top:
+            break
+    rest = sum((h / 2) ** place * each for place, each in enumerate(most)) + left
+    return top + h**2 / 8 * rest
+
+
+def _derivative(chains: list[list[Array]], weighted: list[list[Array]], order: int) -> Array:
+    """The derivative of q of that order, from those of the rows, by Leibniz's rule."""
+    parts = [
+        comb(order, i) * np.sum(weights[i] * chain[order - i], axis=(1, 2))
+        for chain, weights in zip(chains, weighted, strict=True)
+        for i in range(order + 1)
+    ]
+    return np.asarray(sum(parts))
 
 
 def _rows(flow: OrthogonalFlowWindows, times: Array) -> Array:

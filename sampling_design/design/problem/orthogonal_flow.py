@@ -13,7 +13,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
 WHOLE = 1e-11  # relative: windows that are a whole number of periods to rounding
-STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned
+_STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned
 BATCH_NUMBERS = 400_000  # numbers per batch: fits into a cache
 UNSURE = 1e-5
 """Of the largest eigenvalue of a window's Gram matrix: a least one below it has lost digits to the sums here."""
@@ -27,6 +27,7 @@ class OrthogonalFlowWindows:
         self.speeds, self.modes = np.linalg.eigh(-1j * self.skew)
         self.outputs = plant.C @ self.modes
         self.period, self.repeats = period, round(window / period)
+        self.stretch = float(np.linalg.norm(plant.A + plant.A.T, 2)) * window / 2
 
     @property
     def fastest(self) -> float:
@@ -37,9 +38,9 @@ class OrthogonalFlowWindows:
     def of(cls, plant: Plant, window: float, period: float) -> OrthogonalFlowWindows | None:
         """None where the flow stretches, or the window holds no whole number of periods."""
         ratio = window / period
-        stretch = float(np.linalg.norm(plant.A + plant.A.T, 2)) * window / 2
         whole = ratio > 1 - WHOLE and abs(ratio - round(ratio)) <= WHOLE * ratio
-        return cls(plant, window, period) if whole and stretch <= STRETCH else None
+        found = cls(plant, window, period) if whole else None
+        return found if found is not None and found.stretch <= _STRETCH else None
 
     def rows(self, times: Array, mask: Mask) -> Array:
         """Rows C e^{As}, (*times.shape, p, n), zero where `mask` says that nothing is seen."""

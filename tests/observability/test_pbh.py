@@ -3,6 +3,7 @@ import pytest
 
 from sampling_design import ArgumentError, Plant, named_plant
 from sampling_design.errors import NotObservableError
+from sampling_design.observability.count import pbh
 from sampling_design.observability.count.pbh import observable_rank, require_observable, unobservable_modes
 
 
@@ -118,3 +119,13 @@ def test_a_zero_that_rounding_moves_hides_no_mode(unit):
     found = unobservable_modes(clocked)
     assert found.eigenvalues.tolist() == [0]
     np.testing.assert_allclose(np.abs(found.directions[:, 0]), np.sqrt(0.5) * np.isin(np.arange(8), [1, 6]), atol=1e-12)
+
+
+def test_a_plant_is_grouped_once_whatever_outputs_are_asked_about(monkeypatch):
+    group, asked = pbh.clusters_of, []
+    monkeypatch.setattr(pbh, "clusters_of", lambda *parts: asked.append(parts) or group(*parts))
+    A, C = np.random.default_rng(831).normal(size=(2, 4, 4))
+    plant = Plant(A, C)
+    assert observable_rank(plant, [0]) == observable_rank(plant, [1, 2]) == 4
+    assert not unobservable_modes(plant).eigenvalues.size
+    assert len(asked) == 1

@@ -16,6 +16,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.declarations import Column, below
+from sampling_design.records.kept import kept
 from sampling_design.records.record import ListRecord
 from sampling_design.records.signatures import checked
 
@@ -138,7 +139,7 @@ def unobservable_modes(
     values: list[complex] = []
     vectors: list[Complex] = []
     margin = np.inf
-    form, grouped = _grouped(plant)
+    form, grouped = _grouped(plant.A, plant.C)
     pair = _BalancedPair(plant, form)
     known: dict[complex, tuple[list[Complex], float]] = {}
     for cluster, group in grouped:
@@ -157,13 +158,14 @@ def unobservable_modes(
     return UnobservableModes(np.array(values, dtype=complex), found, margin, tolerance, plant.states.names)
 
 
-def _grouped(plant: Plant) -> tuple[SchurForm, list[tuple[EigenvalueCluster, list[int]]]]:
+@kept
+def _grouped(A: Array, C: Array) -> tuple[SchurForm, tuple[tuple[EigenvalueCluster, list[int]], ...]]:
     """The Schur form, and its clusters of eigenvalues with their places on the diagonal."""
-    form = balanced_schur(plant.A, plant.C)
-    if not plant.n_states:
-        return form, []
-    clusters, places = clusters_of(form, plant.n_states * EPS, CLUSTER_CAP)
-    return form, list(zip(clusters, places, strict=True))
+    form = balanced_schur(A, C)
+    if not len(A):
+        return form, ()
+    clusters, places = clusters_of(form, len(A) * EPS, CLUSTER_CAP)
+    return form, tuple(zip(clusters, places, strict=True))
 
 
 class _BalancedPair:
@@ -278,7 +280,7 @@ def observable_rank(plant: Plant, outputs: list[int]) -> int:
     |C||X| could show, so that neither fast modes nor units of the outputs decide; singular values below
     `RANK_TOLERANCE` are zero.
     """
-    form, grouped = _grouped(plant)
+    form, grouped = _grouped(plant.A, plant.C)
     C = balanced_rows(plant.C[outputs], form.d)
     rank = 0
     for cluster, group in grouped:

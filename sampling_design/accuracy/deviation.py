@@ -12,7 +12,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, strong
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, carried, covariance_root
+from sampling_design.numerics.filtering import CovarianceMap, carried, correlation_root, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
@@ -173,7 +173,7 @@ def deviations(
     W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
     ends = (None, None) if schedule.endless else (float(question.nodes[0]), question.end)
     question = AccuracyQuestion.of(plant, schedule, np.sqrt(np.diag(W)), v, None, *ends)
-    known = question.lasting(psd_root(W))  # of what no noise reaches, an endless past has left what grows
+    known = question.lasting(correlation_root(W))  # of what no noise reaches, an endless past has left what grows
     safe = [k for k, row in enumerate(rows.matrix) if known.plant.n_states and not known.touches(row)]
     curves = _DeviationCurves(question, known.plant, W, known.moving) if safe else None
     lengths = question.gaps
@@ -230,7 +230,7 @@ class _DeviationCurves:
         roots = rooted(root)[0] if followed else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
         if any(own.any() for own in self._exact):
             root = carried(roots[-1], rooted.F[-1], rooted.noise[-1])
-            roots = rooted.exactly(root, self._exact, ROUNDED, r)  # each shows a direction more of what grows undriven
+            roots = rooted.exactly(root, self._exact, ROUNDED, r + 1)  # each but the last shows a direction more
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
 
     def _finite(self, rows: list[Array]) -> list[Array]:

@@ -343,6 +343,25 @@ def test_what_an_exact_sensor_has_shown_is_not_shown_again(seed):
         assert found == pytest.approx(truth, rel=1e-6, abs=1e-8 * np.linalg.cond(T))
 
 
+@pytest.mark.parametrize("turn", [0, 1])
+def test_what_is_shown_exactly_at_the_end_of_a_period_is_known_at_its_beginning(turn):
+    """The sample before that one kept what a filter with noise had left."""
+    plant, outputs = sd.Plant([[0.125]], [[1.0], [1.0]], G=[[0.0]]), np.roll(np.eye(2, dtype=bool), turn, axis=0)
+    schedule = sd.PeriodicSchedule.from_times([0.3, 0.6], 1.0, outputs)
+    assert not sd.accuracy.standard_deviation(plant, schedule, w_intensity=1.0, v_deviation=[4.0, 0.0]).worst.any()
+
+
+def test_a_noise_in_large_units_hides_no_other():
+    """Beside one of 1e24 the size of another was rounding: 0.0076 was said where 0.27 is true."""
+    found = []
+    for unit in (1.0, 2.0**40):
+        plant = sd.Plant([[-1.0, -0.9], [0.0, 0.125]], [[0.25, 0.0]], G=[[0.0, 0.0], [0.75, 0.0]])
+        sizes = {"w_intensity": [0.1, unit**2], "v_deviation": 0.004}
+        found.append(sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), **sizes).worst)
+    assert found[1] == pytest.approx(found[0], rel=1e-12)
+    assert found[0][1] > 0.1
+
+
 def test_growth_says_so():
     plant = sd.Plant([[400.0, 1.0], [-1.0, 400.0]], [[1.0, 0.0]])
     with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):

@@ -336,12 +336,12 @@ def _half(M: Array) -> Array | None:
 
 
 def _condition(M: Array, inverse: Array) -> float:
-    """Return the trace of the inverse of M's correlations, which is NaN or infinite where something overflowed.
+    """Return the trace of the inverse of M's correlations, from the diagonal of M's; not finite where it overflowed.
 
     It is the condition in units of the diagonal but for a factor of n^2; units change no digit. The inverse of an M of
     which it exceeds `CONDITION_LIMIT` has lost six digits or more.
     """
-    return float(M.diagonal().dot(inverse.diagonal()))
+    return float(M.diagonal().dot(inverse))
 
 
 def _halves(M: Array) -> tuple[Array, Array, Mask]:
@@ -401,7 +401,8 @@ def _joint(F: Array, W: Array, growth: float) -> _BothEnds:
     F.T.dot(half.T.dot(math.sqrt(growth)), both[:n])
     np.negative(half.T, both[n:])
     joint = both.dot(both.T)
-    condition, diagonal = _condition(W, joint[n:, n:]), joint.diagonal()
+    diagonal = joint.diagonal()
+    condition = _condition(W, diagonal[n:])
     if not (condition <= CONDITION_LIMIT and math.isfinite(sum(diagonal.tolist()))):
         return _NO_ENDS
     return joint, COVARIANCE_ERROR * condition, lower_band(joint, n)
@@ -413,4 +414,8 @@ def _information_of(M: Array) -> tuple[Array, Array] | None:
     if half is None:
         return None
     information = half.T.dot(half)
-    return (information, lower_band(information, len(M))[0]) if _condition(M, information) <= CONDITION_LIMIT else None
+    return (
+        (information, lower_band(information, len(M))[0])
+        if _condition(M, information.diagonal()) <= CONDITION_LIMIT
+        else None
+    )

@@ -142,7 +142,7 @@ class SlidingBand:
         self._pull, self._pull_before = np.zeros((ROOM, n)), np.zeros((ROOM, n))
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 + |x|^2
         self._sums, self._ones = np.zeros((ROOM, 4)), np.ones(ROOM)
-        self._roots: list[float] = []  # of the discounts
+        self._roots = np.zeros(ROOM)  # of the discounts
         self._read = np.zeros(2 * p + n)  # y, a reference and D u of the node that is looked at
         self._measured = np.zeros((ROOM, 3, p))  # y, mask and D u
         self._missed: list[Array | None] = []  # by how much the gap before a node leads elsewhere than to its reference
@@ -150,7 +150,7 @@ class SlidingBand:
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        return self._own, self._before, self._pull, self._pull_before, self._sums, self._measured
+        return self._own, self._before, self._pull, self._pull_before, self._sums, self._measured, self._roots
 
     def output_information(self, mask: Array) -> OutputInformation:
         """Return what a sample of some outputs means."""
@@ -180,7 +180,7 @@ class SlidingBand:
         k = len(self._known)
         if k == len(self._own):
             grown = [np.concatenate([part, np.zeros_like(part)]) for part in self._parts]
-            self._own, self._before, self._pull, self._pull_before, self._sums, self._measured = grown
+            self._own, self._before, self._pull, self._pull_before, self._sums, self._measured, self._roots = grown
             self._ones = np.ones(2 * k)
         kind, flow = self.output_information(new.mask), new.flow
         if not k:
@@ -194,7 +194,7 @@ class SlidingBand:
         self._outputs.append(kind)
         self._reference.append(reference)
         self._missed.append(None)
-        self._roots.append(math.exp(self._eta / 2 * (new.t - self._zero)))
+        self._roots[k] = math.exp(self._eta / 2 * (new.t - self._zero))
         self._leading.append(estimated := self.nodes[k - 1].x if predicted else None)
         self._weigh(k)
         self._untouched = False
@@ -203,7 +203,7 @@ class SlidingBand:
         elif (last := self._reference[k - 1]) is estimated:
             self._untouched = True
         else:
-            self._led(k, (estimated - last).dot(self._roots[k - 1]), slice(None, self._n))
+            self._led(k, (estimated - last).dot(self._roots.item(k - 1)), slice(None, self._n))
         return True
 
     def _weigh(self, k: int) -> None:
@@ -212,7 +212,7 @@ class SlidingBand:
         read[:p], read[p : p + n] = new.y, self._reference[k]
         if self._direct:
             read[p + n :] = new.feedthrough
-        off, root = kind.off.dot(read), self._roots[k]
+        off, root = kind.off.dot(read), self._roots.item(k)
         half, held, d = off[:p], off[p:-n], root * root
         np.multiply(off[-n:], root, self._pull[k])
         sums[0], sums[1], sums[3] = half.dot(half) * d, kind.energy * d, held.dot(held)
@@ -221,14 +221,14 @@ class SlidingBand:
         """Put down what the gap before a node costs between references."""
         missed = self._missing(k)
         if missed is not None:
-            self._led(k, missed.dot(self._roots[k]), slice(self._n, None))
+            self._led(k, missed.dot(self._roots.item(k)), slice(self._n, None))
 
     def _led(self, k: int, off: Array, end: slice) -> None:
         """Put down what the gap before a node costs with states at one `end` of it so far off, and how it pulls."""
         flow, n = self._known[k].flow, self._n
-        assert flow is not None
-        assert flow.joint is not None
-        g, pull = off.dot(flow.joint[end]), self._pull[k - 1]
+        joint = None if flow is None else flow.joint
+        assert joint is not None  # or the node was not taken in
+        g, pull = off.dot(joint[end]), self._pull[k - 1]
         pull += g[:n]
         self._pull_before[k] = g[n:]
         self._sums[k - 1, 2] = off.dot(g[end])
@@ -274,10 +274,9 @@ class SlidingBand:
     def _count_from(self, t: float) -> None:
         """Let discounts count from t."""
         factor = math.exp(-self._eta / 2 * (t - self._zero))
-        for part in (self._pull, self._pull_before):
+        for part in (self._pull, self._pull_before, self._roots):
             part *= factor
         self._sums[:, :3] *= factor * factor
-        self._roots = [root * factor for root in self._roots]
         self._zero = t
 
     def forget(self, count: int) -> None:
@@ -287,7 +286,7 @@ class SlidingBand:
             part[:kept] = part[count : count + kept].copy()
             part[kept:] = 0.0
         self._banded, self._listed = max(self._banded - count, 0), max(self._listed - count, 0)
-        histories = self.nodes, self._known, self._reference, self._outputs, self._roots, self._missed, self._leading
+        histories = self.nodes, self._known, self._reference, self._outputs, self._missed, self._leading
         for held in histories:
             del held[:count]
 
@@ -344,7 +343,7 @@ class SlidingBand:
         if arrival is None:
             return None
         information, band = arrival
-        count, rows, root = len(known), slice(first, len(known)), self._roots[-1]
+        count, rows, root = len(known), slice(first, len(known)), self._roots.item(len(known) - 1)
         fit, energy, gaps, size = self._ones[rows].dot(self._sums[rows]).tolist()
         size, cost, end = size + begun, cost + fit + gaps, root * root
         if initial is None and start.led is self._leading[first]:
@@ -354,7 +353,7 @@ class SlidingBand:
             moved = flow.F.dot(x) - self._reference[first]
             if drift is not self._no_drift:
                 moved += drift
-            away = moved.dot(self._roots[first])
+            away = moved.dot(self._roots.item(first))
             self._pull_before[first] = pull = information.dot(away)
             cost += float(away.dot(pull))
         right = self._pull[rows] + self._pull_before[rows]
@@ -374,13 +373,13 @@ class SlidingBand:
         if not cost > CANCELLED * gain or (far and again):
             if again:
                 return None
-            away = gains.applied(right, True)[0].reshape(-1, n) / np.array(self._roots[first:])[:, None]
+            away = gains.applied(right, True)[0].reshape(-1, n) / self._roots[rows, None]
             self._move_to(first, list(np.array(self._reference[first:]) + away))
             return self.solve(first, start, prior, initial, gap, whole, gains)
         if not whole:
             newest, path = self._reference[-1] + left.dot(1 / root), None
         else:
-            path = self._path(first, x, Y, moved, left.reshape(-1, n) / np.array(self._roots[first:])[:, None], flow)
+            path = self._path(first, x, Y, moved, left.reshape(-1, n) / self._roots[rows, None], flow)
             newest = path.nodes[-1]
         energy, above = (energy + noise) / end, (cost + gain) / end
         return WindowOptimum(newest, gains.Y, gains.precision, cost / end, above, energy, size, path)
@@ -394,8 +393,9 @@ class SlidingBand:
         assert arrival is not None
         begun = flow.growth * Y.dot(flow.F.T.dot(arrival[0].dot(deviation[0] - moved)))
         places = np.array([x, *self._reference[first:]])
-        away = np.vstack([begun, deviation])
-        defect = np.array([moved, *(self._missing(k) for k in range(first + 1, len(self._known)))])
+        away = np.concatenate([begun[None], deviation])
+        missed = enumerate(self._missed[first + 1 :], first + 1)
+        defect = np.array([moved, *[self._missing(k) if each is None else each for k, each in missed]])
         flows = [flow, *(new.flow for new in self._known[first + 1 :] if new.flow is not None)]
         return OptimalTrajectory(places + away, away, defect, flows)
 

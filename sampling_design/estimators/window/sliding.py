@@ -253,7 +253,7 @@ class SlidingBand:
 
     def _move_to(self, first: int, states: Sequence[Array]) -> None:
         """Take states of the nodes from number `first` on for their references."""
-        ahead, missed = np.zeros(self._n), [self._missing(k) for k in range(first, len(self._known))]
+        ahead, missed = self._still, [self._missing(k) for k in range(first, len(self._known))]
         if first and not (self._untouched and len(states) == 1):  # without what the gap from there has pulled
             self._weigh(first - 1)
         self._untouched = False
@@ -262,7 +262,7 @@ class SlidingBand:
             self._reference[k], self._leading[k] = x, None
             self._weigh(k)
             if before is not None and flow is not None:
-                self._missed[k] = before - away + flow.F.dot(ahead)
+                self._missed[k] = before - away if k == first else before - away + flow.F.dot(ahead)
                 self._join(k)
             ahead = away
 

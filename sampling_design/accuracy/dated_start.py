@@ -260,7 +260,7 @@ def _at(x: Array, rows: Array) -> tuple[Array, Array]:
 
 
 def _box(program: RecordProgram, t: float) -> Array:
-    return np.array([program.solve(t, row)[0].value for row in np.eye(program.readings.plant.n_states)])
+    return np.array([up.value for up, _ in program.solve(t, np.eye(program.readings.plant.n_states))])
 
 
 def _adds(reading: _RowLimit, box: Array) -> float:

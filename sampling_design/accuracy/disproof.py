@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
+from sampling_design.accuracy.gains import AGAIN
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Readings
-from sampling_design.accuracy.record_program import AGAIN, DISPROVED, WHICH_BOUNDS, RecordProgram
+from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.errors import UndecidedError
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze

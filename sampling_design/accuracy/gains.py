@@ -13,6 +13,7 @@ from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 
 ROUNDING = 1e-11  # relative allowance for rounding in every sum that bounds from above
+AGAIN = 0.5  # share of the room for rounding that a proof takes when it is evaluated again
 
 LEFT = 0.01
 """What may be left of a direction, in units of what a filter knows, where its past counts as bounded already."""
@@ -24,6 +25,27 @@ class Gains:
 
     value: float
     gains: tuple[Array, ...]  # (p_k,) in units of the noise
+
+
+@dataclass(frozen=True, eq=False)
+class RowEnd:
+    """What gains of the rows of a record prove: `value`, the upper end of a row.
+
+    `bound` is that beyond the nominal state, `width` the part of it that comes from bounds, `short` by how much the
+    adversary of the program falls short of it; `room` is what `value` has for rounding.
+    """
+
+    value: float
+    bound: float
+    width: float
+    gains: Array
+    short: float = 0.0
+    room: float = 0.0
+
+    @property
+    def again(self) -> float:
+        """What it must be at least, worked out once more with other roundings: `AGAIN` of the room is for that."""
+        return self.value - (1 - AGAIN) * self.room
 
 
 def evaluated(system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: list[Array]) -> Gains:

@@ -319,16 +319,21 @@ class DisturbanceQuadrature:
 
         Infinite where a flow overflows. A component that keeps its sign along a panel: the integral of the flow.
         """
-        total = 0.0
+        total = float(self.each(g, ball).sum())
+        return total if np.isfinite(total) else np.inf
+
+    def each(self, g: Array, ball: bool) -> Array:
+        """Return the bounds (J,) that `integral` adds up."""
+        found = np.zeros(len(g))
         with np.errstate(over="ignore", invalid="ignore"):
             for at, parts in self._groups:
                 most = max(AT_ONCE // (parts[-1].shape[1] * sum(self._driven.shape)), 1)
                 for i in range(0, len(at), most):
                     some = slice(i, i + most)
-                    total += self._integral(g[at[some]], ball, [part[some] for part in parts])
-        return total if np.isfinite(total) else np.inf
+                    found[at[some]] = self._integral(g[at[some]], ball, [part[some] for part in parts])
+        return found
 
-    def _integral(self, g: Array, ball: bool, parts: list[Array]) -> float:
+    def _integral(self, g: Array, ball: bool, parts: list[Array]) -> Array:
         d, doubled, forced, third, held = parts
         along, d = run_along(doubled, g), d[:, None]
         p, curved = np.split(along @ self._driven, 2, axis=2)
@@ -337,7 +342,7 @@ class DisturbanceQuadrature:
         if ball and p.shape[2] > 1:
             value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
             sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
-            return float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())
+            return np.asarray((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum(axis=1))
         d, lost = d[:, :, None], (held * size)[:, :, None]
         value, curve = np.abs(p), np.abs(curved)
         sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep[:, :, None]
@@ -345,4 +350,40 @@ class DisturbanceQuadrature:
         flow = np.abs(along[:, :-1] @ forced) + lost
         one_sign = p[:, 1:] * p[:, :-1] > 0
         one_sign &= d * np.minimum(value[:, 1:], value[:, :-1]) > d**3 / 8 * sup + lost
-        return float(np.where(one_sign, np.minimum(flow, above), above).sum())
+        return np.asarray(np.where(one_sign, np.minimum(flow, above), above).sum(axis=(1, 2)))
+
+
+class RecordCells:
+    """Cells of a record's gaps on each level, finer than on the last only where those let an adversary lose something.
+
+    Of thousands of gaps only the latest say much of a row: no others become finer.
+    """
+
+    def __init__(self, gaps: Sequence[RecordGap], quadrature: DisturbanceQuadrature, ball: bool):
+        self._gaps, self._quadrature, self._ball = gaps, quadrature, ball
+        self._refined: dict[int, Index] = {}
+
+    def _levels(self, level: int) -> Index:
+        return self._refined.get(level, np.full(len(self._gaps), level))
+
+    def of(self, level: int) -> list[Array]:
+        """Return the cells of each gap."""
+        return [gap.cells(k) for gap, k in zip(self._gaps, self._levels(level).tolist(), strict=True)]
+
+    def refine(self, level: int, before: int, costates: Array, short: float, spared: float) -> None:
+        """Make the cells of a level finer than those before, but for gaps that lose at most `spared` together.
+
+        All of them where what cells lose is not what an adversary falls `short` of.
+        """
+        cells, known = self.of(before), self._levels(before)
+        if not cells:
+            return
+        counts = [len(own) for own in cells]
+        with np.errstate(over="ignore", invalid="ignore"):
+            pulls = np.einsum("mnq,mn->mq", np.concatenate(cells), np.repeat(costates, counts, axis=0))
+            attained = np.linalg.norm(pulls, ord=2 if self._ball else 1, axis=1)
+            lost = self._quadrature.each(costates, self._ball)
+            lost = np.maximum(lost - np.add.reduceat(attained, np.cumsum([0, *counts[:-1]])), 0.0)
+        order = np.argsort(lost)
+        finer = order[~(np.cumsum(lost[order]) <= (spared if lost.sum() > short / 2 else -1.0))]
+        self._refined.setdefault(level, known.copy())[finer] = level

@@ -388,11 +388,7 @@ def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Ar
 
 def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | None = None) -> Interval:
     """Return the interval of each row at t, or the proof that the data contradict the bounds."""
-    ends, readings = [], program.readings
-    for row in rows.matrix:
-        ends.append(program.solve(t, row))
-        if program.infeasible and program.contradicted:  # of data that contradict the bounds nothing else is asked
-            break
+    ends, readings = program.solve(t, rows.matrix, stops=True), program.readings
     if program.infeasible or any(up.value + down.value < -DISPROVED * (up.width + down.width) for up, down in ends):
         disproof = disprove(program, [up.gains + down.gains for up, down in ends])
         if disproof is not None:

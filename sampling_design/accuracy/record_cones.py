@@ -41,7 +41,6 @@ class RecordCones:
         self._w_at = self._starts + self._K * self._n
         self.columns = self._w_at + self._q * self._cells
         self._grown: list[tuple[int, Array, str]] = []  # rows of b that are bounds, and whose
-        self._found: dict[str, tuple[Array | None, float]] = {}
         self._kinds()
         table = ConeTable(self.columns)
         with np.errstate(over="ignore", invalid="ignore"):  # a flow may overflow: no solver takes it, and no bound is
@@ -131,14 +130,8 @@ class RecordCones:
     def grown(self, which: str) -> tuple[Array | None, float]:
         """Return the least multiple of some bounds under which something is possible, and its multipliers first.
 
-        Where no multiple suffices the multipliers are a ray; None where the solver brought nothing. What was found is
-        kept.
+        Where no multiple suffices the multipliers are a ray; None where the solver brought nothing.
         """
-        if which not in self._found:
-            self._found[which] = self._least(which)
-        return self._found[which]
-
-    def _least(self, which: str) -> tuple[Array | None, float]:
         from scipy import sparse
 
         column = self._sizes(which)

@@ -9,14 +9,14 @@ kept in plain units: one number for each row that was read.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from sampling_design.accuracy.finite import DIFFUSE
-from sampling_design.accuracy.gains import ROUNDING
-from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
+from sampling_design.accuracy.gains import ROUNDING, RowEnd
+from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable, RecordCells
 from sampling_design.accuracy.readings import Readings
 from sampling_design.accuracy.record_cones import RecordCones
 from sampling_design.accuracy.sampled_system import EXACT
@@ -33,10 +33,11 @@ TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 BEYOND = 1e75  # a deviation that grows beyond it is as good as infinite: its square would overflow in what follows
 UNKNOWN = 1e-3  # the deviation of a state whose start is exactly known
 HELD = 1e-13  # relative error with which nominal states and readings are held
-AGAIN = 0.5  # share of the room for rounding that a proof takes when it is evaluated again
 FLOW_HELD = 4 * float(np.finfo(float).eps)  # the same of a flow over a panel of a gap: those of a gap are multiplied
 LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
 CLOSED = 1e-2  # share of the half-width by which the adversary may fall short of it before cells are made finer
+
+SPARED = 0.1  # share of that by which gaps may fall short together whose cells stay as they are
 
 HALVED = 3.0
 """Multiple of that share up to which cells of half the size are tried first: what they lose falls with their square."""
@@ -59,25 +60,9 @@ GROWN = 1e3
 WHICH_BOUNDS = ("all", "w", "v")  # which bounds may grow: all of them, that on w alone, those on v alone
 
 
-@dataclass(frozen=True, eq=False)
-class RowEnd:
-    """What gains prove: `value`, the upper end of a row.
-
-    `bound` is that beyond the nominal state, `width` the part of it that comes from bounds, `short` by how much the
-    adversary of the program falls short of it; `room` is what `value` has for rounding.
-    """
-
-    value: float
-    bound: float
-    width: float
-    gains: Array
-    short: float = 0.0
-    room: float = 0.0
-
-    @property
-    def again(self) -> float:
-        """What it must be at least, worked out once more with other roundings: `AGAIN` of the room is for that."""
-        return self.value - (1 - AGAIN) * self.room
+def _slack(up: RowEnd, down: RowEnd) -> float:
+    """By how much the adversary may fall short of the ends of a row."""
+    return CLOSED * max((up.value + down.value) / 2, 0.0)
 
 
 class RecordProgram:
@@ -103,13 +88,17 @@ class RecordProgram:
         self.H = readings.H * table.D
         self.infeasible = False
         self._aim = len(readings.times) - 1  # the time of the row that was asked for last
-        self._levels: dict[int, RecordCones] = {}
-        self._multiples: dict[int, float] = {}
+        self._posed: tuple[int, RecordCones] | None = None
+        self._found: dict[tuple[int, str], tuple[Array | None, float]] = {}
         self._run_back: tuple[tuple[bytes, int], Array] | None = None
 
     @cached_property
     def _quadrature(self) -> DisturbanceQuadrature:
         return DisturbanceQuadrature(self.table, self.gaps)
+
+    @cached_property
+    def _cells(self) -> RecordCells:
+        return RecordCells(self.gaps, self._quadrature, self.readings.disturbance.ball)
 
     @cached_property
     def _rounded(self) -> float:
@@ -174,30 +163,44 @@ class RecordProgram:
         return np.asarray(size[:, :, None] * vectors * np.maximum(values, least)[:, None, :])
 
     def posed(self, level: int = 0) -> RecordCones:
-        """Return the program with the cells of a level."""
-        if level not in self._levels:
-            cells, tolerance = [gap.cells(level) for gap in self.gaps], TOLERANCE[min(level, LEVELS - 1)]
-            self._levels[level] = RecordCones(
-                self.readings, self._near, self.F, cells, self.table.D, self.L, self.H, self.unit, tolerance=tolerance
-            )
-        return self._levels[level]
+        """Return the program with the cells of a level; one is held at a time, since a solver's memory is large."""
+        if self._posed is None or self._posed[0] != level:
+            self._posed = None
+            cells = self._cells.of(level)
+            self._posed = level, RecordCones(
+                self.readings, self._near, self.F, cells, self.table.D, self.L, self.H, self.unit,
+                tolerance=TOLERANCE[level],
+            )  # fmt: skip
+        return self._posed[1]
 
-    def solve(self, t: float, row: Array) -> tuple[RowEnd, RowEnd]:
-        """Return the ends of a row of x at t, the upper one of c and that of -c, and the gains that prove them.
+    def solve(self, t: float, rows: Array, stops: bool = False) -> list[list[RowEnd]]:
+        """Return both ends of each row of x at t, the upper one of c and that of -c, and the gains that prove them.
 
-        Cells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
+        Cells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width, and
+        only those by which it falls short. It `stops` where the data contradict the bounds: what is left has no ends.
         """
-        ends, level = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], 0
-        while level < LEVELS - 1:
-            half = max((ends[0].value + ends[1].value) / 2, 0.0)
-            open_ = [k for k in (0, 1) if ends[k].short > CLOSED * half]
-            if not open_ or (self.infeasible and (self._multiple(level) > COARSE or self.contradicted)):
+        nothing = RowEnd(np.inf, np.inf, np.inf, np.zeros(len(self.H)))
+        ends, last = [[nothing, nothing] for _ in rows], 0
+        for row, pair in zip(rows, ends, strict=True):
+            pair[:] = self._end(t, row, 0), self._end(t, -row, 0)
+            if stops and self.infeasible and self.contradicted:
+                return ends
+        early = [max(up.short, down.short) <= HALVED * _slack(up, down) for up, down in ends]
+        for level in range(1, LEVELS):
+            due = [k for k in range(len(ends)) if early[k] or level > 1]
+            open_ = [(k, s) for k in due for s in (0, 1) if ends[k][s].short > _slack(*ends[k])]
+            if not open_:
+                continue
+            if self.infeasible and (self._multiple(last) > COARSE or self.contradicted):
                 break
-            level += 2 if level == 0 and max(end.short for end in ends) > HALVED * CLOSED * half else 1
-            for k in open_:
-                finer = self._end(t, row if k == 0 else -row, level)
-                ends[k] = finer if finer.value < ends[k].value else replace(ends[k], short=finer.short)
-        return ends[0], ends[1]
+            for k, s in open_ if not self.infeasible else ():
+                costates = self._costates(self._ahead(t, (-1.0) ** s * rows[k])[0], ends[k][s].gains)[0]
+                self._cells.refine(level, last, costates, ends[k][s].short, SPARED * _slack(*ends[k]))
+            for k, s in open_:
+                finer = self._end(t, (-1.0) ** s * rows[k], level)
+                ends[k][s] = finer if finer.value < ends[k][s].value else replace(ends[k][s], short=finer.short)
+            last = level
+        return ends
 
     def after(self, t: float, row: Array) -> float:
         """Return what w adds to a row between the last time and t at most."""
@@ -280,9 +283,12 @@ class RecordProgram:
 
     def _multiple(self, level: int) -> float:
         """The least multiple of all bounds under which the program of a level has a solution."""
-        if level not in self._multiples:
-            self._multiples[level] = self.posed(level).grown("all")[1]
-        return self._multiples[level]
+        return self._least(level, "all")[1]
+
+    def _least(self, level: int, which: str) -> tuple[Array | None, float]:
+        if (level, which) not in self._found:
+            self._found[level, which] = self.posed(level).grown(which)
+        return self._found[level, which]
 
     @cached_property
     def contradicted(self) -> bool:
@@ -460,11 +466,10 @@ class RecordProgram:
         """
         best, enough, zero = (0.0, np.zeros(len(self.H))), np.inf, np.zeros(len(self.table.D))
         for level in range(LEVELS):
-            posed = self.posed(level)
-            y, multiple = posed.grown(which)
+            y, multiple = self._least(level, which)
             if y is not None:
                 enough = min(enough, multiple)
-                gains = self._steadied(zero, *posed.read(y))
+                gains = self._steadied(zero, *self.posed(level).read(y))
                 best = max(best, (self.growth(which, gains), gains), key=lambda pair: pair[0])
             if y is None or best[0] >= (1 - CLOSED) * enough:
                 break

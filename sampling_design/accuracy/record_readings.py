@@ -145,7 +145,7 @@ def beginning(items: Sequence[RecordRow]) -> float:
 def _known(unread: Readings, before: Rows, t: float, rows: Array) -> tuple[Array, Array]:
     """Ends of rows of x(t), by the readings before; NaN where these contradict the bounds."""
     program = RecordProgram(unread.reading([*before, (t, ())]))
-    ends = [program.solve(t, row) for row in rows]
+    ends = program.solve(t, rows)
     limits = np.array([(-down.value, up.value) for up, down in ends]).T
     return (limits[0], limits[1]) if not program.infeasible else (limits[0] * np.nan, limits[1] * np.nan)
 

@@ -127,20 +127,45 @@ def test_what_no_sample_shows_is_unbounded():
     assert found.to_dict()["upper"][1] is None
 
 
+def counted_columns(monkeypatch):
+    """Unknowns of the programs that are posed, by their level."""
+    columns, posed = {}, RecordProgram.posed
+
+    def counted(self, level=0):
+        columns[level] = posed(self, level).columns
+        return posed(self, level)
+
+    monkeypatch.setattr(RecordProgram, "posed", counted)
+    return columns
+
+
 def test_cells_of_half_the_size_where_they_suffice_prove_what_smaller_ones_do(monkeypatch):
     """Coarse cells lose 1.2 and 1.6 % of the half-width here: .3 and .4 % with half the size, .1 % with a quarter."""
     record = [(2.0 * k, [np.sin(2.0 * k)], None) for k in range(8)]
-    solved = {}
+    solved, columns = {}, counted_columns(monkeypatch)
     for multiple, levels in ((record_program.HALVED, {0, 1}), (1.0, {0, 2})):
         monkeypatch.setattr(record_program, "HALVED", multiple)
+        columns.clear()
         program = RecordProgram(read_record(OSCILLATOR, record, 2.0, 0.1, None, None, None))
-        solved[multiple] = [program.solve(14.3, row) for row in np.eye(2)]
-        assert set(program._levels) == levels
+        solved[multiple] = program.solve(14.3, np.eye(2))
+        assert set(columns) == levels
     for halved, finer in zip(*solved.values(), strict=True):
         half = (halved[0].value + halved[1].value) / 2
         for one, other in zip(halved, finer, strict=True):
             assert 0 <= one.short <= record_program.CLOSED * half
             assert one.value == pytest.approx(other.value, abs=1e-3 * half)
+
+
+def test_only_the_latest_gaps_of_a_long_record_get_finer_cells(monkeypatch):
+    """All of them took a solver's memory many times over, for gaps of which the gains take almost nothing."""
+    record = [(2.0 * k, [np.sin(2.0 * k)], None) for k in range(100)]
+    columns = counted_columns(monkeypatch)
+    program = RecordProgram(read_record(OSCILLATOR, record, 2.0, 0.1, None, None, None))
+    ends = program.solve(198.0, np.eye(2))
+    assert len(columns) > 1
+    assert max(columns.values()) < 1.2 * columns[0]
+    for up, down in ends:
+        assert max(up.short, down.short) <= record_program.CLOSED * (up.value + down.value) / 2
 
 
 def test_one_row_is_two_programs_and_little_beside():
@@ -152,7 +177,7 @@ def test_one_row_is_two_programs_and_little_beside():
     for _ in range(10):
         for row in np.eye(4):
             with Counted().running() as clock:
-                program.solve(record[-1][0], row)
+                program.solve(record[-1][0], row[None])
             taken.append(clock.steps)
     assert np.median(taken) < 3000
 
@@ -270,7 +295,7 @@ def test_both_sides_meet_where_states_have_grown_far_beyond_what_is_known_of_the
     readings = read_record(plant, record, 0.02, 0.05, known, None, 0.0)
     program = RecordProgram(readings)
     for row in np.eye(2):
-        up, down = program.solve(now, row)
+        ((up, down),) = program.solve(now, row[None])
         half = (up.value + down.value) / 2
         assert -down.value <= row @ x <= up.value
         assert np.abs(row @ x) > 1e5 * half

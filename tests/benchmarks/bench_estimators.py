@@ -153,7 +153,7 @@ def test_interval_posed(benchmark):
 def test_interval_of_one_row(benchmark):
     """Both ends; the goal is two milliseconds on a quiet machine."""
     program = RecordProgram(read_record(PLANT, recorded(), 0.05, 0.5, None, None, None))
-    ends = benchmark(program.solve, program.readings.times[-1], np.eye(4)[0])
+    ends = benchmark(program.solve, program.readings.times[-1], np.eye(4)[:1])[0]
     assert ends[0].value > -ends[1].value
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 from itertools import islice, pairwise
 from pathlib import Path
@@ -22,6 +22,8 @@ import numpy as np
 import sampling_design as sd
 from sampling_design import estimators, plotting, schedules
 from sampling_design.checkers.check import verdict
+from sampling_design.design.bounds.relaxation import sigma_of_moved
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.observability import observability_matrix
 
 Call = Callable[[], object]
@@ -37,6 +39,9 @@ SHORT = {"states": 16, "samples": 40, "outputs": 4}
 FEW = {"states": 4, "samples": 20, "outputs": 2}
 BOXED = ("family", "sigma of a box", "certify a box", "accuracy of a box")
 SLOW = dict.fromkeys(("certify", "checker", "accuracy", "finite accuracy", "counts", *BOXED), FEW)
+SLOW |= dict.fromkeys(
+    ("next sample", "plan file", "plan proof", "plan picture", "inclusion file", "inclusion proof"), FEW
+)
 SLOW |= {"worst case": FEW | {"states": 2}}
 """What these take at most unless it is to be `--long`: a point of them is seconds."""
 
@@ -148,6 +153,62 @@ def interval(states: int, samples: int, outputs: int, regular: bool = True, **gi
     record = [(float(t), 0.1 * rng.uniform(-1, 1, outputs), None) for t in times(samples, regular)]
     known = {"w_bound": 0.2, "v_bound": np.full(outputs, 0.2)} | given
     return lambda: sd.state_interval(of, record, **known)
+
+
+def deviation(states: int, samples: int, outputs: int, regular: bool = True) -> Call:
+    of, at = plant(states, outputs), schedule(samples, regular)
+    return lambda: sd.accuracy.standard_deviation(of, at, w_intensity=0.1, v_deviation=0.1)
+
+
+def moved(states: int, samples: int, outputs: int, regular: bool = True, late: float = 0.2) -> Call:
+    """Windows of a design whose samples are early, late or on time."""
+    at, open_ = times(samples, regular), (None,) * outputs
+    window, period = float(min(samples, 4 * states) + 1), float(at[-1]) + 0.4
+    problem = DesignProblem(
+        plant(states, outputs),
+        window,
+        period,
+        0.1,
+        samples,
+        np.zeros((0, 2)),
+        np.zeros(0),
+        open_,
+        late=late,
+    )
+    return lambda: sigma_of_moved(problem, at, problem.mask(at))
+
+
+@cache
+def kept(kind: str, states: int, samples: int, outputs: int, regular: bool = True) -> object:
+    """What goes on file and into a picture: a plan of as many steps, a certificate of detectability or of a box."""
+    of = plant(states, outputs)
+    if kind == "detectability":
+        return sd.certificates.certify_detectability(of)
+    if kind == "inclusion":
+        gaps = sd.GapRange(0.5, 1.0) if regular else sd.Jitter(schedule(samples, False), 0.01)
+        return sd.certify(box(states, 1, 1e-3), gaps, eta=0.02, budget=60)
+    white = kind == "deviations"
+    noise, by = ("noise_deviation", "w_intensity") if white else ("noise_bound", "w_bound")
+    goal = {"tolerance": 1e3, "kind": "standard deviation" if white else "guaranteed"}
+    steps = {"period": float(samples), "grid": 1.0, "samples": samples // 2, "aim": "most accurate"}
+    sensors = {name: {noise: 0.1} for name in of.outputs.names}
+    wanted = sd.PlanRequirement({"x1": goal}, sensors=sensors, **{by: 0.1}, **steps)
+    return sd.plan_samples(of, wanted, search_seconds=2.0, certificate=False, robustness=False, from_start=False)
+
+
+READERS = {"detectability": sd.read_certificate, "inclusion": sd.read_certificate}
+
+
+def of_kept(work: Callable[[object], object], usual: str) -> Callable[..., Call]:
+    def ready(states: int, samples: int, outputs: int, regular: bool = True, kind: str = usual) -> Call:
+        known = kept(kind, states, samples, outputs, regular)
+        return lambda: work(known)
+
+    return ready
+
+
+def on_file(kind: str) -> Callable[[object], object]:
+    return lambda known: READERS.get(kind, sd.read_plan)(known.save(folder() / f"{kind}.json"))
 
 
 class OpenLoop:
@@ -282,9 +343,11 @@ def of_schedule(work: Callable[[object], object]) -> Callable[..., Call]:
 
 
 def of_result(work: Callable[[object], object], usual: str = "record") -> Callable[..., Call]:
+    """Each call of a copy, which keeps nothing of an earlier one."""
+
     def ready(length: int, kind: str = usual) -> Call:
         known = made(kind, length)
-        return lambda: work(known)
+        return lambda: work(copy(known))
 
     return ready
 
@@ -292,6 +355,10 @@ def of_result(work: Callable[[object], object], usual: str = "record") -> Callab
 @cache
 def folder() -> Path:
     return Path(mkdtemp(prefix="jumps-"))
+
+
+def copy(known: object) -> object:
+    return replace(known) if is_dataclass(known) and not isinstance(known, type) else known
 
 
 def said(known: object) -> object:
@@ -309,6 +376,7 @@ class Verb:
 
 
 IRREGULAR: dict[str, object] = {"regular": False}
+STOCHASTIC: dict[str, dict[str, object]] = {"of deviations": {"kind": "deviations"}}
 BOXES: dict[str, dict[str, object]] = {
     **{f"{count} parameters": {"parameters": count} for count in (2, 3)},
     **{f"within {width:g}": {"width": width} for width in (1e-8, 1e-5, 1e-2, 0.05)},
@@ -350,6 +418,20 @@ VERBS = {
             "an outlier": {"outliers": 1},
         },
     ),
+    "deviation": Verb(deviation, {"irregular": IRREGULAR}),
+    "moved": Verb(moved, {"irregular": IRREGULAR, "on time": {"late": 0.0}}),
+    "next sample": Verb(of_kept(lambda known: sd.next_sample(known, now=0.0, budget=20), "plan"), STOCHASTIC),
+    "plan file": Verb(of_kept(on_file("plan"), "plan"), STOCHASTIC),
+    "plan proof": Verb(of_kept(lambda known: known.verify(), "plan"), STOCHASTIC),
+    "plan picture": Verb(of_kept(lambda known: plotting.save(known, folder() / "plan.svg"), "plan"), STOCHASTIC),
+    "detectability": Verb(
+        lambda states, samples, outputs, regular=True: (
+            lambda: sd.certificates.certify_detectability(plant(states, outputs))
+        ),
+        {},
+    ),
+    **{f"{kind} file": Verb(of_kept(on_file(kind), kind), {}) for kind in READERS},
+    **{f"{kind} proof": Verb(of_kept(lambda known: known.verify(), kind), {}) for kind in READERS},
     "validate": Verb(validated, {"irregular": IRREGULAR, "own estimator": {"own": True}}),
     "estimate": Verb(
         estimated,

@@ -42,9 +42,11 @@ LARGEST = {
     "accuracy": f"accuracy {SATELLITE} out/orbit/schedule.csv --w 1e-6 --v 30 --budget 20 -o out/orbit",
     "estimate": f"estimate {SATELLITE} examples/data/satellite.csv -o out",
     "validate": f"validate {SATELLITE} out/orbit/schedule.csv --runs 50 -o out/orbit",
+    "validate, two workers": f"validate {SATELLITE} out/orbit/schedule.csv --runs 50 --workers 2 -o out/orbit",
+    "compare": f"compare {SATELLITE} out/orbit/schedule.csv examples/data/satellite.csv -o out/orbit",
     "thyroid": "thyroid --runs 1 --days 5 --reading per_day -o out",
 }
-"""Eleven tides read in a month, an orbit, a patient; `new` and `compare` do not depend on the size of the plant."""
+"""Eleven tides read in a month, an orbit, a patient; `new` does not depend on the size of the plant."""
 RECORDS = {
     f"{command}, {rows:,} rows": (command, rows)
     for command, sizes in {"compare": (10_000, 100_000, 1_000_000), "estimate": (10_000, 100_000)}.items()
@@ -73,6 +75,12 @@ CALLS = {
     "`smooth` of 30,000 rows": 'VERBS["smooth"].ready(30_000)',
     "`state_interval` of 5,000 rows": 'VERBS["state interval"].ready(5_000)',
     "`state_interval` of 5,000 rows, any start": "interval(2, 5_000, 1, False)",
+    "`state_interval` of 1,000 rows, eight states": "interval(8, 1_000, 1, False, **BOUNDS)",
+    "`state_interval` of 5,000 rows, eight states": "interval(8, 5_000, 1, False, **BOUNDS)",
+    "file of an interval of 5,000 rows": 'VERBS["interval file"].ready(5_000)',
+    "`certify` of 16 states, 40 samples": "certified(16, 40, 1, False, 0.05)",
+    "`guaranteed_accuracy` of eight states, 20 samples": "accuracy(8, 20, 1, False)",
+    "`standard_deviation` of 10,000 samples": "deviation(2, 10_000, 1, False)",
     "`window_sigma` of 100,000 samples": 'VERBS["sigma of all"].ready(100_000)',
     "`window_sigma` of 200 states, 200 samples": "sigma(200, 200, 50)",
     "`compare_schedule` of 100,000 samples": 'VERBS["log"].ready(100_000)',

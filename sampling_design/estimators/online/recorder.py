@@ -129,10 +129,13 @@ class Recorder:
         assert last.known is not None  # as of every linear plant
         number = last.number + 1
         known = KnownSample(
-            new.t, number, new.sample.censored, new.y, new.mask, new.feedthrough, x, Y, beta, sound, contradiction,
-            last.known.branch.after(last.number),
+            t=new.t, number=number, censored=new.sample.censored, y=new.y, mask=new.mask, feedthrough=new.feedthrough,
+            x=x, Y=Y, beta=beta, sound=sound, own=contradiction, branch=last.known.branch.after(last.number),
         )  # fmt: skip
-        return HistoryNode(*new, x, Y, beta, scheduled, sound, estimate, number, size, loose, limited, known)
+        return HistoryNode(
+            *new, x, Y, beta, scheduled, sound, estimate,
+            number=number, held=size, loose=loose, limited=limited, known=known,
+        )  # fmt: skip
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
         """Return the estimate at t, open loop from the node with the number `at`."""

@@ -102,7 +102,7 @@ def lasting_part(plant: Plant, period: float, noise: Array | None = None) -> Det
     Where nothing drives it, what does not decay. Where white `noise` (n, k) does, the states that it reaches and what
     grows by itself: of all else information grows without bound.
     """
-    d = balanced_schur(plant.A).d
+    d = output_scales(plant, period)
     A = plant.A * d / d[:, None]
     values, size = [complex(cluster.value) for cluster in eigenvalue_clusters(plant.A)], float(np.linalg.norm(A, 2))
     least = max(DECAYS / period, DECAYED * size)

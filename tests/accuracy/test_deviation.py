@@ -362,6 +362,22 @@ def test_a_noise_in_large_units_hides_no_other():
     assert found[0][1] > 0.1
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_noise_reaches_a_state_in_any_unit_of_it(noise):
+    """Levels that one noise moves together: beside one in units of 1e7 another, in units of 1e-5, was not moved."""
+    A, C, G = (
+        np.diag([0.75, 0.0, 0.0]),
+        np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, -1.0]]),
+        [0.7, -0.4, -1.2],
+    )
+    found = []
+    for x in (np.ones(3), 2.0 ** np.array([24, 8, -14])):
+        plant, sizes = sd.Plant(A, C / x, G=(x * G)[:, None]), {"w_intensity": 1.0, "v_deviation": noise}
+        found.append(sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([0.5]), **sizes).worst / x)
+    assert found[1] == pytest.approx(found[0], rel=1e-5)
+    assert noise or found[0][1:] == pytest.approx(np.sqrt(0.5) * np.array([0.4, 1.2]), rel=1e-6)
+
+
 def test_growth_says_so():
     plant = sd.Plant([[400.0, 1.0], [-1.0, 400.0]], [[1.0, 0.0]])
     with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):

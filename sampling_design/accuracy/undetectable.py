@@ -107,13 +107,14 @@ def lasting_part(plant: Plant, period: float, noise: Array | None = None) -> Det
     values, size = [complex(cluster.value) for cluster in eigenvalue_clusters(plant.A)], float(np.linalg.norm(A, 2))
     least = max(DECAYS / period, DECAYED * size)
     driven = np.zeros((len(A), 0)) if noise is None else noise / d[:, None]
-    driven = driven / np.where(driven.any(axis=0), np.linalg.norm(driven, axis=0), 1.0)
+    linked = np.linalg.matrix_power((A.T != 0) | np.eye(len(A), dtype=bool), len(A))
     gone, growing = [np.zeros((len(A), 0))], [np.zeros((len(A), 0))]
     for value in values:
         if noise is not None or value.real < -least:
             left = _invariant(A.T, [value], values)
             step = (left.conj().T @ A.T @ left - value * np.eye(left.shape[1])) / (size or 1.0)
-            rows = [driven.T @ left]
+            near = driven * linked[:, left.any(axis=1)].any(axis=1)[:, None]  # sizes of no others have to do with it
+            rows = [(near / np.where(near.any(axis=0), np.linalg.norm(near, axis=0), 1.0)).T @ left]
             for _ in range(left.shape[1] - 1):
                 rows.append(rows[-1] @ step)
             sizes, right = right_directions(np.vstack(rows))

@@ -378,6 +378,21 @@ def test_a_noise_reaches_a_state_in_any_unit_of_it(noise):
     assert noise or found[0][1:] == pytest.approx(np.sqrt(0.5) * np.array([0.4, 1.2]), rel=1e-6)
 
 
+@pytest.mark.parametrize("noise", [(0.0, 0.0, 2.448), (1e-3, 0.5, 2.4)])
+def test_sizes_of_states_that_have_nothing_to_do_with_each_other_hide_no_noise(noise):
+    """Modes that outputs alone join, each in a unit of its own: beside some in large units others were not reached."""
+    A, G = np.diag([0.0, -1.0, 0.25]), np.array([1.25, -0.5, 0.875])
+    C = np.array([[-0.0049, 0.0, 0.0068], [-128.0, 0.0, 96.0], [4.0, 32.0, -32.0]])
+    schedule, sizes = sd.PeriodicSchedule.from_times([2.0, 4.0], 4.1), {"w_intensity": 0.5, "v_deviation": noise}
+    found = []
+    for x in (np.ones(3), *10.0 ** np.random.default_rng(0).uniform(-9, 9, (8, 3))):
+        found.append(
+            sd.accuracy.standard_deviation(sd.Plant(A, C / x, G=(x * G)[:, None]), schedule, **sizes).worst / x
+        )
+    assert found[0][1] > 0.2
+    assert np.allclose(found, found[0], rtol=1e-5, atol=0.0)
+
+
 def test_growth_says_so():
     plant = sd.Plant([[400.0, 1.0], [-1.0, 400.0]], [[1.0, 0.0]])
     with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):

@@ -113,7 +113,7 @@ def lasting_part(plant: Plant, period: float, noise: Array | None = None) -> Det
         if noise is not None or value.real < -least:
             left = _invariant(A.T, [value], values)
             step = (left.conj().T @ A.T @ left - value * np.eye(left.shape[1])) / (size or 1.0)
-            near = driven * linked[:, left.any(axis=1)].any(axis=1)[:, None]  # sizes of no others have to do with it
+            near = driven * np.any(linked[:, np.any(left, axis=1)], axis=1, keepdims=True)  # sizes of no others matter
             rows = [(near / np.where(near.any(axis=0), np.linalg.norm(near, axis=0), 1.0)).T @ left]
             for _ in range(left.shape[1] - 1):
                 rows.append(rows[-1] @ step)

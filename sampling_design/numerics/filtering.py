@@ -148,7 +148,7 @@ def correlation_root(Y: Array, rounding: float = 0.0) -> Array:
     size = np.sqrt(np.maximum(np.diag(Y), 0.0))
     unit = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
-    values = np.maximum(values, 0.0) + rounding * max(1.0, float(values[-1]))
+    values = np.maximum(values, 0.0) + rounding * float(values.max(initial=1.0))
     return np.asarray(unit[:, None] * vectors * np.sqrt(values))
 
 

@@ -88,7 +88,7 @@ class _EigenvalueProgram:
             self._go()
         except np.linalg.LinAlgError:
             return False
-        return bool(np.isfinite(self.t) and np.all(np.isfinite(self.y)))
+        return bool(np.isfinite(self.t) and np.all(np.isfinite(self.y)) and np.all(self.s > 0))
 
     def _go(self) -> None:
         inverse = symmetrise(np.asarray(np.linalg.inv(self.S)))  # it is in the step itself: mu S^-1 is where Z is led

@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.design.bounds.gap_bound import gap_bound, relax_gaps
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
-from sampling_design.design.bounds.ordered_windows import Cut, flow_of, ordered_bound, relax_ordered
+from sampling_design.design.bounds.ordered_windows import flow_of, ordered_bound, relax_ordered
 from sampling_design.design.bounds.relaxation import (
     JUST_BESIDE,
     LEAST_SECONDS,
@@ -23,6 +23,7 @@ from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_end
 from sampling_design.design.bounds.zone_bound import matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import (
     TINY,
+    Cut,
     Side,
     begins,
     covered,
@@ -71,9 +72,11 @@ class BoundPart:
     `price` is its multiplier of the cost limit. "alone" bounds all schedules of one sample, which are one schedule
     shifted: its windows count from the sample. "local" bounds the schedules of small zones by windows that follow their
     samples: the rows of `tied` (see `tied_windows`) say which, `starts` are of no account, and `tilt` (k,) are the
-    multipliers of the spacing. Where cost is limited, `chosen` (k, p) says what each sample measures at most, in the
-    schedules that are meant. "gaps" bounds all schedules by windows that begin at each sample: `starts` are the gaps
-    after it at which `weights` are given, and `tilt` the function of distances that adds up to nothing.
+    multipliers of the spacing. "ordered" bounds those of its zones by windows that begin just before each sample:
+    `weights` has one for each (see `ordered_windows`). Where cost is limited, `chosen` (k, p) says what each sample
+    measures at most, in the schedules that are meant. "gaps" bounds all schedules by windows that begin at each sample:
+    `starts` are the gaps after it at which `weights` are given, and `tilt` the function of distances that adds up to
+    nothing.
     """
 
     method: Method
@@ -335,7 +338,7 @@ def slow_states(problem: DesignProblem) -> Array | None:
 
 def zone_part(
     problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None, budget: Budget = ENDLESS
-) -> tuple[BoundPart, Relaxation, tuple[int, float, float]] | None:
+) -> tuple[BoundPart, Relaxation, Cut] | None:
     """Bound for the schedules in `zones`, the relaxation behind it, and the cut that divides most.
 
     None where no schedule lies there.

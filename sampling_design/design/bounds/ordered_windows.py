@@ -14,11 +14,11 @@ least eigenvalue of all windows is largest (`eigenvalue_program`).
 from __future__ import annotations
 
 from math import comb
-from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.design.bounds.weak_duality import rooted
+from sampling_design.design.bounds.zones import MARGIN, Cut
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import EPS, MANY_STATES, ROUNDING_MARGIN
 from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows, squares
@@ -31,16 +31,7 @@ _CELL = 0.09  # radians between two times at which q is evaluated for the bound
 _LOOSE, _ORDERS = 1e-4, 9  # of q: more is not left to what derivatives are at most, up to the eighth
 _NEAR = 3e-3  # relative: a relaxation that is not below its aim ends when it is known so well
 _CONVERGED = 1e-3  # relative: and any other
-_MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
 _SHARE = 1e-6  # of a sample that lies on either side of a cut, at least
-
-
-class Cut(NamedTuple):
-    """The sample whose zone is cut next, where, and how wide its zone is."""
-
-    place: int
-    at: float
-    width: float
 
 
 def flow_of(problem: DesignProblem) -> OrthogonalFlowWindows | None:
@@ -90,7 +81,7 @@ class _OrderedPoints:
         grams = squares(self.measured)
         parts = found.x[:, None] * (self.owner[:, None] == np.arange(k))  # (points, k)
         means = parts.T @ self.times
-        at = np.clip(means, self.zones[:, 0] + _MARGIN * width, self.zones[:, 1] - _MARGIN * width)
+        at = np.clip(means, self.zones[:, 0] + MARGIN * width, self.zones[:, 1] - MARGIN * width)
         late = parts * (self.times[:, None] >= at)
         shares = np.stack([late.sum(axis=0), (parts - late).sum(axis=0)])
         safe = np.maximum(shares, _SHARE)

@@ -28,7 +28,7 @@ from sampling_design.design.bounds.weak_duality import (
     roofs,
     rooted,
 )
-from sampling_design.design.bounds.zones import TINY, within_period
+from sampling_design.design.bounds.zones import MARGIN, TINY, Cut, within_period
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
@@ -45,14 +45,11 @@ _ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wid
 _MISSED = 0.02  # short by that share of the value, a window was missed by the hints: more rounds, as without
 _OBSERVED_ENOUGH = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
 NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
-_MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
 _MATTERS = 1e-3  # share of all multipliers below which a window has no say
 
 
-def relax_zones(
-    problem: DesignProblem, zones: Array, hints: Array, budget: Budget = ENDLESS
-) -> tuple[Relaxation, tuple[int, float, float]]:
-    """Weights on points of the zones; which sample's zone gains most from a cut, where, and how wide it is.
+def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budget = ENDLESS) -> tuple[Relaxation, Cut]:
+    """Weights on points of the zones, and the cut that gains most.
 
     `hints` are window starts that mattered for a wider box.
     Cut short at `budget`; multipliers of any quality prove a bound.
@@ -170,9 +167,7 @@ def matters(problem: DesignProblem, found: Relaxation) -> Array:
     return np.asarray(found.starts[shares > _MATTERS])
 
 
-def _most_divided(
-    problem: DesignProblem, zones: Array, found: Relaxation, points: _ZonePoints
-) -> tuple[int, float, float]:
+def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation, points: _ZonePoints) -> Cut:
     """The sample whose early and late shares differ most for the windows that matter, its mean time, its zone's width.
 
     The relaxation gains from mixing schedules what the least eigenvalue is concave. Were sample i early
@@ -202,8 +197,9 @@ def _most_divided(
         weight = (share * late).sum() * (share * ~late).sum()
         gains[i] = weight * float(np.einsum("mab,mbc,mca->", Z, D, np.linalg.solve(W, D)))
     index = int(np.argmax(gains)) if gains.max() > 0 else int(np.argmax(width))
-    edge = _MARGIN * width[index]
-    return index, float(np.clip(cuts[index], zones[index, 0] + edge, zones[index, 1] - edge)), float(width[index])
+    edge = MARGIN * width[index]
+    at = float(np.clip(cuts[index], zones[index, 0] + edge, zones[index, 1] - edge))
+    return Cut(index, at, float(width[index]))
 
 
 def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations
 from math import comb
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,16 @@ Side = Literal["late", "early", "sorted"]
 
 MOST_REGIONS = 64  # ways to share out samples between fixed times beyond which zones are not tried
 TINY = 1e-12  # slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone
+MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
 _EMPTY = 1e-9  # zones that miss each other by more than this share of the period hold no schedule
+
+
+class Cut(NamedTuple):
+    """The sample whose zone is cut next, where, and how wide its zone is."""
+
+    place: int
+    at: float
+    width: float
 
 
 def zoned(problem: DesignProblem) -> bool:

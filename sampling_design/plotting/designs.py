@@ -258,7 +258,8 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
         style.dates(bottom, schedule.time_unit, schedule.origin)
         bottom.set_xlabel(label.partition(" [")[0])
     late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
-    figure.suptitle(f"{result.plant.name}: sigma {below(result.sigma, 4)} proven{late}, {gap}", wrap=True)
+    name = f"{result.plant.name}: " if result.plant.name else ""
+    figure.suptitle(f"{name}sigma {below(result.sigma, 4)} proven{late}, {gap}", wrap=True)
     return style.Panels([top, bottom])
 
 

@@ -283,6 +283,8 @@ def test_a_bound_that_says_nothing_is_called_so():
     bottom = far.plot()[1]
     assert bottom.get_ylim()[1] < 10
     assert "too far off to say more" in bottom.figure.get_suptitle()
+    unnamed = replace(near, plant=replace(near.plant, name="")).plot()[0]
+    assert unnamed.figure.get_suptitle().startswith("sigma")
 
 
 def test_a_remainder_that_is_no_number_bounds_nothing():

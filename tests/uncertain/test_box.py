@@ -102,6 +102,24 @@ def test_an_hour_is_not_spent_where_the_budget_is_none():
     assert found.lower <= found.upper
 
 
+@pytest.mark.parametrize("time", [10.0, 1e4, 1e-6, 1e8])
+def test_the_unit_of_time_changes_no_bound_of_chains_over_a_box(time):
+    """An integrator has no rate of its own: only the time that is asked about says how fast it is."""
+    measured, pull = np.eye(2), np.array([[0.0, 0.0], [0.1, 0.0]])
+
+    def told(unit):
+        plant = Plant(np.array([[0.0, 1.0], [0.0, 0.0]]) / unit, measured)
+        box = UncertainPlant(plant, [UncertainParameter("k", -1.0, 1.0, A=pull / unit, nominal=0.0)])
+        schedule = PeriodicSchedule(np.array([0.5, 0.65]) * unit)
+        sigma = window_sigma(box, schedule, 1.725 * unit, rtol=0.1)
+        worst = worst_case_sigma(box, SpacedWindows(unit, 3, 0.3 * unit), rtol=0.3)
+        share = largest_box(box, schedule, window=1.725 * unit, at_least=0.54).share
+        exists = certificate_exists(box, schedule, 0.1 / unit)
+        return [sigma.lower, sigma.upper, worst.lower, worst.upper, share, exists.margin]
+
+    assert told(time) == pytest.approx(told(1.0), rel=1e-6)
+
+
 @pytest.mark.long
 def test_units_change_no_bound_over_a_box():
     plant, schedule = oscillator(), PeriodicSchedule([1.0, 0.7])
@@ -165,7 +183,7 @@ def test_a_count_is_refused_where_a_plant_of_the_box_hides_a_mode():
 
 def test_a_count_says_when_it_could_not_be_decided(monkeypatch):
     monkeypatch.setattr(zero_count_over_box, "SECONDS", 0.0)
-    model = BoxModel.of(oscillator(-8.0, 8.0), "zero_count_bound")
+    model = BoxModel.of(oscillator(-8.0, 8.0), "zero_count_bound", 3.0)
     with pytest.raises(UndecidedError, match="whether every plant of the box is observable"):
         zero_count_over_box.require_every_plant_observable(model)
     with pytest.raises(ArgumentError, match="must hold fewer than"):
@@ -185,7 +203,7 @@ def test_the_worst_case_over_a_box_holds_for_every_plant_drawn():
 def test_no_plant_of_a_cell_lies_below_what_its_corners_say(seed):
     """Where one schedule alone is admissible, sigma of each plant is that of its rows."""
     rng = np.random.default_rng(seed)
-    model = BoxModel.of(random_box(rng), "worst_case_sigma")
+    model = BoxModel.of(random_box(rng), "worst_case_sigma", 1.0)
     k = model.n + int(rng.integers(0, 3))
     family = SpacedWindows(0.4 * (k - 1) + 1e-9, k, 0.4)
     cell = BoxCells.whole(model.m)._replace(half=rng.uniform(0.1, 1.0, (1, model.m)))
@@ -223,7 +241,7 @@ def test_units_far_apart_leave_the_worst_case_a_bound(unit):
 
 def test_corners_that_are_seen_prove_nothing_of_a_frequency_between_them_that_is_not():
     """Half a turn apart, two samples miss the frequency 1 alone."""
-    model, family = BoxModel.of(oscillator(0.81, 1.21), "worst_case_sigma"), SpacedWindows(np.pi, 2, np.pi)
+    model, family = BoxModel.of(oscillator(0.81, 1.21), "worst_case_sigma", np.pi), SpacedWindows(np.pi, 2, np.pi)
     corners = [worst_case_sigma(oscillator().at([x]), family).lower for x in (0.81, 1.21)]
     assert min(corners) > 0.1
     assert worst_case_sigma(oscillator().at([1.0]), family).upper < 1e-12

@@ -71,7 +71,7 @@ def test_lower_is_proven_and_gives_hardly_anything_away(name):
 
 def cells(plant, schedule, window):
     """The proof of a box and a schedule, and what it is about."""
-    asked = WindowsOverBox(BoxModel.of(plant, "window_sigma"), window_pieces(schedule, window))
+    asked = WindowsOverBox(BoxModel.of(plant, "window_sigma", window), window_pieces(schedule, window))
     return WindowCells(asked, schedule, exact_times(schedule, asked.pieces), Budget(60.0)), asked
 
 
@@ -126,7 +126,7 @@ def test_the_worst_case_over_a_box_is_proven_too():
 def test_a_norm_too_small_is_never_proven():
     """The metric of a skew matrix: e^{At} keeps lengths, so that the rate is zero and nothing below it is proven."""
     with precision():
-        box = BallBox(BoxModel.of(CASES["frequency"][0], "window_sigma"))
+        box = BallBox(BoxModel.of(CASES["frequency"][0], "window_sigma", 1.0))
         for _, norms, _ in box.metrics(box.cell(np.zeros(1), np.ones(1)), 3.0):
             assert float(norms.rate) >= -1e-15
             assert float(norms.moved) >= 0.19
@@ -167,7 +167,7 @@ def test_without_the_extra_the_refusal_names_it(monkeypatch):
 @pytest.mark.parametrize("name", few(CASES, 1))
 def test_norms_of_a_cell_in_floats_are_those_of_balls(name):
     """One formula for both: what it makes of the same numbers agrees, and floats give no smaller bound than balls."""
-    model = BoxModel.of(CASES[name][0], "window_sigma")
+    model = BoxModel.of(CASES[name][0], "window_sigma", 1.0)
     cell = BoxCells.whole(model.m)._replace(half=np.full((1, model.m), 0.5))
     (A, C), longest = model.at(cell.u), 3.0
     inverses = [np.linalg.inv(T).astype(complex) for T in bases(A, C, np.array([longest]))]

@@ -34,8 +34,8 @@ class BoxModel:
     place: Integers  # (m,): which parameters of the plant these are
 
     @classmethod
-    def of(cls, plant: UncertainPlant, name: str) -> BoxModel:
-        """The box of a plant; `name` is the verb that asks, for its refusals.
+    def of(cls, plant: UncertainPlant, name: str, span: float) -> BoxModel:
+        """The box of a plant; `name` is the verb that asks, for its refusals, `span` the time over which it asks.
 
         Raises ArgumentError if the plant lies between vertices, or its parameters vary.
         """
@@ -46,7 +46,8 @@ class BoxModel:
         x, y = P.states.scales, P.outputs.scales
         low, high = plant.low[own], plant.high[own]
         half, middle = high / 2 - low / 2, low / 2 + high / 2
-        d = balance(P.A * x / x[:, None], P.C * x / y[:, None]).d
+        # of chains alone only time says how fast they are
+        d = balance(P.A * (span or 1.0) * x / x[:, None], P.C * x / y[:, None]).d
         to_z, rows = x * d, y[:, None]
         parts_A = np.array([A[k] for k in own]).reshape(len(own), *P.A.shape)
         parts_C = np.array([C[k] for k in own]).reshape(len(own), *P.C.shape)

@@ -104,7 +104,7 @@ def existence_over_box(
     if not schedule.endless:
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
-    model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)
+    model, margin = BoxModel.of(plant, "certificate_exists", schedule.period), margin_on(schedule, eta)
     if not model.m:  # of one plant its eigenvalues say it
         own = certificate_exists(plant.nominal, schedule, eta)
         return ExistenceOverBox(own.exists, model.values(model.start), own.margin, own.reason, 0, plant)

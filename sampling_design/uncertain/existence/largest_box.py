@@ -155,12 +155,12 @@ def largest_box(
     """
     if (window is None) == (eta is None):
         raise ArgumentError("`window` or `eta` must be given, one of them and not both.")
-    model = BoxModel.of(plant, "largest_box")
     aligned = align(plant.nominal, schedule)
     tolerance, clock = checks.positive("rtol", rtol), Budget(checks.positive("budget", budget))
     if window is not None:
-        least = checks.nonnegative("at_least", at_least)
-        over_box = WindowsOverBox(model, window_pieces(aligned, checks.positive("window", window)))
+        least, window = checks.nonnegative("at_least", at_least), checks.positive("window", window)
+        model = BoxModel.of(plant, "largest_box", window)
+        over_box = WindowsOverBox(model, window_pieces(aligned, window))
         question = f"sigma is above {short(least)} in every window of {short(window)} {plant.time_unit}"
         cells = over_box.cells()
         search, together = _by_sigma(over_box, least, clock), TOGETHER
@@ -170,7 +170,7 @@ def largest_box(
         repeated = period_of(
             aligned, "`schedule` must be periodic with `eta`: on a finite one every plant has a certificate."
         )
-        rate = checks.nonnegative("eta", eta)
+        rate, model = checks.nonnegative("eta", eta), BoxModel.of(plant, "largest_box", repeated.period)
         question = f"a certificate with rate {short(rate)} exists"
         cells = BoxCells.whole(model.m)
         search, together = _by_gains(model, repeated, rate, clock), GAINED_TOGETHER

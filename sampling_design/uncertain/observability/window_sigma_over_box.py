@@ -139,7 +139,7 @@ def window_sigma_over_box(
     aligned = align(plant.nominal, schedule)
     pieces, tolerance, seconds = checked_pieces(aligned, window, start, RTOL if rtol is None else rtol, budget)
     require_moderate(plant.nominal)
-    model, clock = BoxModel.of(plant, "window_sigma"), Budget(seconds)
+    model, clock = BoxModel.of(plant, "window_sigma", pieces.window), Budget(seconds)
     best = _searched(WindowsOverBox(model, pieces), tolerance, seconds, progress)
     found = WindowSigmaOverBox(
         lower=best.lower, upper=best.upper, worst=model.values(best.u), window_start=best.s,

@@ -148,7 +148,7 @@ def worst_case_over_box(
     late = TimingTolerance.of(timing_tolerance, plant.nominal.outputs.names, plant.time_unit)
     late.require_order(family.spacing)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
-    model = BoxModel.of(plant, "worst_case_sigma")
+    model = BoxModel.of(plant, "worst_case_sigma", family.window)
     found = WorstCaseOverBox(
         lower=np.inf, upper=np.inf, worst=model.values(model.start), witness=np.zeros(family.count if model.n else 0),
         status="no states", family=family, rtol=tolerance, plants=0, plant=plant,

@@ -91,7 +91,8 @@ def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOver
     Raises NotObservableError if some plant of the box has a mode that no output sees; names it; UndecidedError if this
     could not be decided.
     """
-    duration, model = checks.nonnegative("duration", duration), BoxModel.of(plant, "zero_count_bound")
+    duration = checks.nonnegative("duration", duration)
+    model = BoxModel.of(plant, "zero_count_bound", duration)
     if not model.n:
         return ZeroCountOverBox(-1.0, 0, 0.0, duration, 0.0, {}, 0, plant)
     if not model.m:  # of one plant its eigenvalues say it

@@ -223,8 +223,9 @@ class Accuracy(AccuracyBracket, CurveRecord):
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
         search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
         for part in self.proof:
-            for mu, gains in zip(part.directions, part.gains, strict=True):
-                search.directions[part.sample].add(mu, search.evaluate(part.sample, mu, gains))
+            found = [search.evaluate(part.sample, *each) for each in zip(part.directions, part.gains, strict=True)]
+            directions = search.directions[part.sample]
+            directions.mu, directions.gains = part.directions, found  # all of them, as when they bounded the rows
         if asked.timing_tolerance and (noise is None or not is_enough(noise, added(search, asked, known), KEPT_ROOM)):
             return False
         tops = []

@@ -88,6 +88,18 @@ def test_both_sides_verify_and_a_corrupt_one_does_not(found):
     assert not replace(found, witnesses=(louder, found.witnesses[1])).verify()
 
 
+@pytest.mark.parametrize("seed", few(range(8), 5))
+def test_what_directions_prove_together_verifies_whatever_each_adds_to_those_before_it(seed):
+    """Of some plants a direction that added nothing to those before it is what later ones lean on."""
+    rng = np.random.default_rng(seed)
+    plant = sd.Plant(
+        rng.standard_normal((3, 3)) - 1.5 * np.eye(3), rng.standard_normal((1, 3)), G=rng.standard_normal((3, 1))
+    )
+    wanted = np.random.default_rng(1).standard_normal((3, 3))
+    schedule = sd.PeriodicSchedule(rng.uniform(0.4, 2.0, 1))
+    assert sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=0.1, of=wanted).verify()
+
+
 def test_a_witness_shows_nothing_and_is_far_away(found):
     for k, witness in enumerate(found.witnesses):
         v, x, w = witness.simulate()

@@ -5,10 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
-from nbclient.exceptions import CellExecutionError, DeadKernelError
 
 DOCS = Path(__file__).parents[2] / "docs"
 CERTIFIED = """import sampling_design as sd
@@ -24,7 +21,9 @@ def execute(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(DOCS.parent))
     monkeypatch.delenv("MPLBACKEND", raising=False)
     import kernels
+    import nbformat
     import proven_pages
+    from nbclient import NotebookClient
 
     proven_pages.collect(DOCS.parent, tmp_path)
     process, _ = kernels.start()
@@ -41,6 +40,8 @@ def execute(tmp_path, monkeypatch):
 
 @pytest.mark.long
 def test_a_fork_has_its_own_names_and_leaves_its_pictures_and_certificates(execute, tmp_path):
+    from nbclient.exceptions import CellExecutionError, DeadKernelError
+
     about = "import os, sys; print(sys.executable, os.getcwd(), os.getppid())"
     (told,), (drawn,), _ = execute(about, "import matplotlib.pyplot as plt; plt.plot([1.0]);", CERTIFIED)
     assert told["text"].startswith(f"{sys.executable} {tmp_path} ")

@@ -377,7 +377,9 @@ def test_no_and_perhaps_have_exit_codes_of_their_own(tmp_path, copied):
 
 def test_an_interrupt_is_130(copied):
     with subprocess.Popen([sys.executable, "-m", "checkers"], cwd=copied, stdin=subprocess.PIPE) as process:
-        time.sleep(1.5)
+        process.stdin.write(bytes(2**20))  # more than a pipe holds: by now it is read, and soon there is no more of it
+        process.stdin.flush()
+        time.sleep(0.3)
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == 130
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -21,27 +22,33 @@ INTERRUPTED = """
 import os, signal, sys, threading, time
 from sampling_design.cli import main
 
-def interrupt(after):
+def interrupt():
     while signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # Python's own start is not ours to catch
         time.sleep(1e-4)
+    while loaded not in sys.modules:
+        time.sleep(1e-3)
     time.sleep(after)
     os.kill(os.getpid(), number)
 
-after, number = float(sys.argv.pop(1)), int(sys.argv.pop(1))
-threading.Thread(target=interrupt, args=[after], daemon=True).start()
+loaded, after, number = sys.argv.pop(1), float(sys.argv.pop(1)), int(sys.argv.pop(1))
+threading.Thread(target=interrupt, daemon=True).start()
 main()
 """
 
 
-MOMENTS = [(after, number) for after in (0.002, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0) for number in exit_codes.SIGNALS]
+MOMENTS = [
+    *product(["sys"], (0.002, 0.05, 0.1, 0.2, 0.3, 0.5), exit_codes.SIGNALS),
+    *product(["sampling_design.design.search.local_search"], (0.1, 1.0), exit_codes.SIGNALS),
+]
+"""Seconds after the start, and after what searches is there."""
 
 
-@pytest.mark.parametrize(("after", "number"), few(MOMENTS, 0, 4, 12, 13))
-def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after, number):
+@pytest.mark.parametrize(("loaded", "after", "number"), few(MOMENTS, 0, 4, 12, 13))
+def test_an_interrupt_at_any_moment_is_130_without_a_traceback(loaded, after, number):
     """From the first line on: while numpy, scipy and the drawing load, and while the search runs."""
     command = ["design", str(SATELLITE), str(EXAMPLES / "requirements" / "satellite.toml"), "--branches", "100000"]
     found = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED, str(after), str(int(number)), *command],
+        [sys.executable, "-c", INTERRUPTED, loaded, str(after), str(int(number)), *command],
         capture_output=True,
         text=True,
         check=False,

@@ -431,7 +431,7 @@ def test_gains_of_the_filter_alone_prove_nearly_what_searched_ones_do(late):
     T = rng.standard_normal((6, 6))
     A = T @ np.diag(rng.uniform(-1.0, 0.1, 6)) @ np.linalg.inv(T)
     plant, schedule = Plant(A, rng.standard_normal((2, 6))), PeriodicSchedule([1.0, 0.7, 1.2])
-    asked = {"w_bound": [0.1] * 6, "v_bound": [0.1] * 2, "of": np.eye(6)[:2], "timing_tolerance": late}
+    asked = {"w_bound": [0.1] * 6, "v_bound": [0.1] * 2, "of": np.eye(6)[:1], "timing_tolerance": late}
     rushed, searched = (guaranteed_accuracy(plant, schedule, budget=seconds, **asked) for seconds in (1e-9, 4.0))
     assert rushed.verify()
     assert np.all(searched.lower <= rushed.upper)

@@ -1,6 +1,7 @@
 """Any psd multipliers prove a bound: against plain sums over schedules, aligned with the jumps on purpose."""
 
 from dataclasses import replace
+from itertools import combinations, product
 
 import mpmath as mp
 import numpy as np
@@ -195,8 +196,6 @@ def test_the_bound_is_attained_by_a_single_sample():
 
 
 def test_best_cycle_is_the_best_by_enumeration():
-    from itertools import combinations
-
     rng = np.random.default_rng(8)
     values = rng.normal(size=14)
     for apart in (0, 1, 3, 4):
@@ -309,8 +308,7 @@ def before_each_sample(A, C, times, period, window):
     return np.array([sum(c.T @ c for c, inside in zip(rows, each, strict=True) if inside) for each in held])
 
 
-@pytest.mark.parametrize("window", [4.0, 8.0])
-@pytest.mark.parametrize("width", [0.0, 0.3, 1.2])
+@pytest.mark.parametrize(("width", "window"), few(product([0.0, 0.3, 1.2], [4.0, 8.0]), 1, 2, 5))
 def test_windows_before_each_sample_bound_every_schedule_of_the_box(window, width):
     """Any psd multipliers, zones that overlap: what a schedule of the box gives them is no more, and nearly that."""
     A, C = turning((0.7, 1.9, 2.6), 2)

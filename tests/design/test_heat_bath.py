@@ -63,9 +63,16 @@ def half_of_the_time(repeats):
     return (None, np.array([[d, d + 0.65] for d in range(repeats)]))
 
 
-@pytest.mark.parametrize("window", [4.0, 8.0])
 @pytest.mark.parametrize(
-    ("plant", "available"), [(ALONE, (None,)), (MIXED, (None, None)), (MIXED, half_of_the_time(4))]
+    ("plant", "available", "window"),
+    few(
+        [
+            (*case, window)
+            for case in [(ALONE, (None,)), (MIXED, (None, None)), (MIXED, half_of_the_time(4))]
+            for window in [4.0, 8.0]
+        ],
+        *(0, 3, 4),
+    ),
 )
 def test_what_is_seen_of_a_place_is_newtons_step_towards_the_least_eigenvalue_of_every_window(plant, available, window):
     case = problem(plant, 4, 7, window=window, available=available)

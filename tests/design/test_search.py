@@ -19,6 +19,7 @@ from sampling_design.design.search.local_search import _kick, _ranked, _Refineme
 from sampling_design.design.search.refine import refined
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.budget import ENDLESS
+from tests.cases import few
 from tests.oracles.design import is_allowed, random_schedule
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -301,7 +302,7 @@ def test_schedules_that_miss_a_state_are_told_apart_by_how_long_they_do(window, 
             assert graded == pytest.approx(-np.mean(held < 2), abs=4e-3)
 
 
-@pytest.mark.parametrize("closed", [[[3.83, 4.3], [4.56, 4.8]], [[2.54, 2.77], [3.95, 4.32]]])
+@pytest.mark.parametrize("closed", few([[[3.83, 4.3], [4.56, 4.8]], [[2.54, 2.77], [3.95, 4.32]]], 1))
 def test_where_random_schedules_see_no_state_others_are_led_until_they_do(closed):
     hours = problem(plant=INTEGRATORS, window=1.0, period=5.0, spacing=0.1, samples=11, forbidden=np.array(closed))
     found = search(hours, relax_placed(hours), np.random.default_rng(1), starts=1)

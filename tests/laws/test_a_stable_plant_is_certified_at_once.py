@@ -15,6 +15,7 @@ from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.checkers import sampled
+from tests.cases import few
 from tests.rescale import Units
 
 GAIN = 3.0
@@ -44,14 +45,16 @@ SCHEDULES = {
     "late": PeriodicSchedule([0.5, 0.5, 1.0], 1.7),
     "finite": Schedule(np.arange(1.0, 31.0)),
 }
-SIZED = [pytest.param(make, n, marks=pytest.mark.long) for make in (chain, dense, driven_in_one) for n in (40, 60)]
+SMALL = [
+    (make, n, schedule)
+    for make, n in ((chain, 4), (dense, 12), (driven_in_one, 6))
+    for schedule in ("periodic", "late", "finite")
+]
+SIZED = [(make, n, "periodic") for make in (chain, dense, driven_in_one) for n in (40, 60)]
 
 
-@pytest.mark.parametrize("schedule", ["periodic", "late", "finite"])
-@pytest.mark.parametrize(("make", "n"), [(chain, 4), (dense, 12), (driven_in_one, 6), *SIZED])
+@pytest.mark.parametrize(("make", "n", "schedule"), few([*SMALL, *SIZED], 0, 2, 4, 6, 7))
 def test_lambda_is_one_within_the_noise_budget(make, n, schedule, monkeypatch):
-    if n >= 40 and schedule != "periodic":
-        return
     monkeypatch.setattr(room, "choose_weights", None)  # nothing is searched
     monkeypatch.setattr(sampled.Windows, "windows", None)  # and no window followed
     plant, times = make(n), SCHEDULES[schedule]

@@ -301,8 +301,7 @@ def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
     assert not sd.state_interval(swing, [(t[0] + 0.25, y) for t, y in rows], 6.0, **given).holds(truth(6.0))
 
 
-@pytest.mark.parametrize("jump", few([1.0, 1.5, 1.8, 2.0], 0, 3))
-@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("side", "jump"), few(product(["right", "left"], [1.0, 1.5, 1.8, 2.0]), 0, 1, 7))
 def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_sides(side, jump):
     """y = x + u, read at any time from 1 to 2, both included, where u jumps: there u is that of the stated side."""
     plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[1.0]])

@@ -6,6 +6,7 @@ A slice of `tests/benchmarks/bench_certify_random.py` that takes seconds, with w
 from __future__ import annotations
 
 import dataclasses
+from itertools import product
 
 import numpy as np
 import pytest
@@ -293,9 +294,9 @@ UNDRIVEN = {
 
 
 @pytest.mark.parametrize(
-    "schedule", [PeriodicSchedule([7e5, 1e6]), Schedule([0.7, 1.0, 1.3, 2.3])], ids=["endless", "finite"]
+    ("name", "schedule"),
+    few(product(UNDRIVEN, [PeriodicSchedule([7e5, 1e6]), Schedule([0.7, 1.0, 1.3, 2.3])]), 0, 2, 3, 5),
 )
-@pytest.mark.parametrize("name", UNDRIVEN)
 def test_a_plant_that_nothing_drives_is_certified(name, schedule, monkeypatch):
     """What is known of it stays known for ever: no noise gain has a least, and weights are those of a driven one."""
     monkeypatch.setattr(weight_choice, "SEARCH_WORK", 1e5)

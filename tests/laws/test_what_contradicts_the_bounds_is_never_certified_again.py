@@ -206,8 +206,7 @@ def test_without_the_sample_that_a_contradiction_names_everything_stands_again(m
     assert other.state.last.number == len(first) + 1
 
 
-@pytest.mark.parametrize("wild", range(3))
-@pytest.mark.parametrize("maker", MAKERS)
+@pytest.mark.parametrize(("maker", "wild"), few(product(MAKERS, range(3)), 0, 2, 4, 8))
 def test_the_sensor_that_is_named_is_the_one_that_contradicts(maker, wild):
     """Of sensors that read the same, one of them in other units, the wild one alone was read, and is named."""
     plant = sd.Plant([[0.0]], [[1.0], [1.0], [10.0]], outputs=["gauge", "lab", "other unit"])

@@ -173,7 +173,8 @@ def test_odd_multiples_of_its_rate_hide_an_undamped_mode(turn, unit):
     )
     sizes = np.array([1 / unit, unit, 1.0])
     plant = sd.Plant(A * sizes[:, None] / sizes, [c / sizes], G=sizes[:, None] * G)
-    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([0.5, 0.8]), w_bound=1.0, v_bound=0.1, of="x2")
+    asked = {"w_bound": 1.0, "v_bound": 0.1, "of": "x2", "rtol": 0.03}
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([0.5, 0.8]), **asked)
     assert found.closed.all()
     assert found.verify()
     most = of_twenty_samples(found, A, c, G, 1, 1.0, 0.1)
@@ -256,7 +257,7 @@ def test_what_hides_a_mode_may_change_within_a_period(seed, unit):
     """Both sides meet; the past keeps its bounds however long it has gone on, and no other is taken for it."""
     plant, schedule, sizes, (w, v) = drawn(seed, unit)
     row = np.array([[0.3, 1.0, -0.5, 0.7]]) / sizes
-    found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of=row)
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of=row, rtol=0.05)
     assert found.upper[0] <= 1.06 * found.lower[0]
     assert found.verify()
     (witness,) = found.witnesses

@@ -112,8 +112,10 @@ def test_every_schedule_is_below_its_mean_and_that_below_the_bound(number):
 GROWING = (np.array([[0.4, 1.3], [-1.3, 0.2]]), np.array([[1.0, 0.3]]))
 
 
-@pytest.mark.parametrize("late", [0.0, 0.05])
-@pytest.mark.parametrize(("window", "period"), [(3.0, 4.0), (4.0, 4.0), (6.0, 3.0)])
+@pytest.mark.parametrize(
+    ("window", "period", "late"),
+    few([(*each, late) for each in [(3.0, 4.0), (4.0, 4.0), (6.0, 3.0)] for late in [0.0, 0.05]], 1, 2, 4),
+)
 def test_what_closes_just_after_a_sample_hides_no_window(window, period, late):
     rng = np.random.default_rng(0)
     times = random_schedule(rng, period, 0.4, 4)

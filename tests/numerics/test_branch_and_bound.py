@@ -1,5 +1,6 @@
 """Cells are proven or cut, depth first; brackets of a least value hold and close, best first, however they end."""
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from sampling_design.numerics.branch_and_bound import LeastOverCells, all_proven, within
 from sampling_design.records.budget import Budget, BudgetSpentError
+from tests.cases import few
 
 
 class Intervals(NamedTuple):
@@ -53,8 +55,7 @@ def searched(rng, together=1, budget=None, most=np.inf, rtol=1e-3, look=lambda: 
     return search, search.run(judge, halves, look), least
 
 
-@pytest.mark.parametrize("together", [1, 4, 1000])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("seed", "together"), few(product([0, 1, 2], [1, 4, 1000]), 0, 1, 5, 8))
 def test_a_closed_bracket_holds_the_least_of_each_value(seed, together):
     search, status, least = searched(np.random.default_rng(seed), together)
     assert status == "closed"

@@ -164,6 +164,8 @@ def from_json(text: str) -> Tree:
     try:
         data = json.loads(text, object_pairs_hook=unique, parse_constant=no_constant, parse_float=real, parse_int=whole)
     except json.JSONDecodeError as error:
+        if not text.strip():
+            raise refuse("", "is empty, expected one JSON object") from None
         line = f"line {error.lineno} ({error.msg})"
         raise refuse("", f"is not valid JSON at {line}. Was the file cut off?") from None
     if not is_table(data):

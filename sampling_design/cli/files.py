@@ -133,10 +133,16 @@ def requirement(path: Path | None) -> Requirement:
 def plan_requirement(first: Path, second: Path | None) -> tuple[PlanRequirement, Plant]:
     """The requirement of a plan and its plant: of one file that holds both, or of a plant file and another.
 
-    Raises ArgumentError if one file is given and holds no plant.
+    Raises ArgumentError if one file is given and holds no plant, or nothing but one.
     """
     from sampling_design.planning.requirement_file import requirement_and_plant
+    from sampling_design.plants.library import PLANTS
 
+    if second is None and (kind_of(first) == "plant" or (not first.exists() and str(first) in PLANTS)):
+        raise ArgumentError(
+            f"`REQUIREMENT` is missing: {first} is a plant, and nothing says how well what must be known. "
+            "`sampling-design new --within` writes a plan requirement."
+        )
     requirement, own = _read("plan requirement", requirement_and_plant, first if second is None else second)
     if second is not None:
         return requirement, plant(first)

@@ -332,8 +332,8 @@ class PeriodicSchedule(_ListWithDetails):
         if (high - low + 1) * len(self) > MOST_TIMES:
             size = (high - low + 1.0) * len(self)
             raise ArgumentError(
-                f"`end` asks for {size:.3g} samples, which take {8 * size / 2**30:.3g} GiB: at most {MOST_TIMES} are "
-                "listed at once."
+                f"`schedule` has {size:.3g} samples from {short(start)} to {short(end)}, which take "
+                f"{8 * size / 2**30:.3g} GiB: at most {MOST_TIMES} are listed at once."
             )
         times = (cycle + period * np.arange(low, high + 1)[:, None]).ravel()
         keep = _inside(times, start, end, closed)

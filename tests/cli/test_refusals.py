@@ -70,7 +70,7 @@ PLANTS, REQUIREMENTS, DATA, PLANS = (OSCILLATOR.parents[1] / folder for folder i
         (("info", REQUIREMENTS / "oscillator.toml"), "is a requirement file, expected a plant file"),
         (("design", REQUIREMENTS / "oscillator.toml", OSCILLATOR), "is a requirement file, expected a plant file"),
         (("design", OSCILLATOR, OSCILLATOR), "is a plant file, expected a requirement file"),
-        (("plan", OSCILLATOR), "is a plant file, expected a plan requirement file"),
+        (("plan", OSCILLATOR, OSCILLATOR), "is a plant file, expected a plan requirement file"),
         (("next", OSCILLATOR), "is a plant file, expected a plan file"),
         (("info", PLANS / "oscillator.toml"), "is a plan requirement file, expected a plant file"),
         (("sigma", OSCILLATOR, OSCILLATOR), "is a plant file, expected a schedule file"),
@@ -86,6 +86,20 @@ def test_files_in_the_wrong_place_are_named_as_what_they_are(shell, arguments, w
     assert result.code == 2
     assert words in result.err
     assert "Are the arguments in their order?" in result.err
+
+
+@pytest.mark.parametrize("named", [OSCILLATOR, "oscillator", PLANTS / "satellite.toml"])
+def test_a_plant_alone_is_no_plan_requirement(shell, named):
+    result = shell("plan", named, "--quiet")
+    assert (result.code, result.err.count("\n")) == (2, 1)
+    assert f"`REQUIREMENT` is missing: {named} is a plant, and nothing says how well what must be known." in result.err
+
+
+def test_a_window_too_long_to_list_is_said_of_the_schedule(shell, tmp_path):
+    schedule = write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "schedule.csv")
+    result = shell("sigma", OSCILLATOR, schedule, "--window", "1e9")
+    assert (result.code, result.out) == (2, "")
+    assert "`schedule` has 1e+09 samples from 1 to 1e+09, which take 7.45 GiB" in result.err
 
 
 WRONG = {

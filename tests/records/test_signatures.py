@@ -348,7 +348,7 @@ def estimator() -> sd.KalmanFilter:
         (lambda: sd.Measurements(3, [1.0], [[1.0]]), "`plant` must be a Plant or a NonlinearPlant, got int 3"),
         (lambda: critical_length(["a"]), "`plant` must be a Plant or a list of eigenvalues, got list"),
         (lambda: find_counterexample(OSCILLATOR, 3, 0.1), "`family` must be a SamplingFamily, got int 3"),
-        (lambda: GAPS.between(0.0, 1e12), "`end` asks for .* samples, which take .* GiB"),
+        (lambda: GAPS.between(0.0, 1e12), r"`schedule` has .* samples from 0 to 1e\+12, which take .* GiB"),
         (lambda: sd.Schedule([1.0], output_names=3), "`output_names` must be a list of strings, got int 3"),
         (lambda: sd.robustness(OSCILLATOR, 3), "`certificate` must be a Certificate or FamilyCertificate or a Sche"),
         (lambda: sd.robustness(OSCILLATOR, SimpleNamespace(schedule=3)), "`certificate` must be one about samples"),

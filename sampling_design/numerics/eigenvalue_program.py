@@ -1,11 +1,13 @@
-"""The largest least eigenvalue of matrices that are mixed, by primal-dual interior points that stay feasible.
+"""The largest least eigenvalue of matrices that are mixed, by primal-dual interior points.
 
-    maximise t       subject to  sum_j x_j G_mj >= t I for every m,  x >= 0,  sum of x over each group = 1
-    minimise sum y   subject to  sum_m <Z_m, G_mj> <= y of j's group,  Z_m psd,  sum of all tr Z_m = 1
+    maximise t           subject to  sum_j x_j G_mj >= t N for every m,  x >= 0,  E x = e,  B x <= d
+    minimise e'y + d'l   subject to  sum_m <Z_m, G_mj> <= (E'y + B'l)_j,  Z_m psd,  sum of all <Z_m, N> = 1,  l >= 0
 
-with G_mj = c'c for a few rows c each. Every iterate is feasible for both: t and sum y bracket the optimum at any time,
-so that whoever asks whether it lies above or below something mostly has the answer after some six steps, in an eighth
-of the time that a general solver takes to pose the program and solve it.
+with G_mj = c'c for a few rows c each. Every iterate is feasible for the second, and for the first where the first point
+fulfils B x <= d, or as soon as steps have made up for it: t and the total bracket the optimum at any time, so that
+whoever asks whether it lies above or below something mostly has the answer after some six steps, in an eighth of the
+time that a general solver takes to pose the program and solve it. Of matrices that are mixed only rows are held: a
+general solver, which squares the number of their entries, needs gigabytes for forty states.
 
 Source: the direction of Helmberg, Rendl, Vanderbei and Wolkowicz (1996), with Mehrotra's corrector.
 """
@@ -13,24 +15,45 @@ Source: the direction of Helmberg, Rendl, Vanderbei and Wolkowicz (1996), with M
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
 
-from sampling_design.numerics.conic_programs import smat, svec
+from sampling_design.numerics.conic_programs import svec
 from sampling_design.numerics.linalg import symmetrise
-from sampling_design.records.arrays import Array, Index
+from sampling_design.records.arrays import Array
 
-_STEPS = 40  # at most: a dozen leave a relative gap of 1e-4
+_STEPS = 60  # at most: a dozen leave a relative gap of 1e-4
 _INSIDE = 0.9  # of the way to the boundary, that a step goes
 _ROOM = 0.1  # relative: how far inside of what is feasible the first point lies
 _LEAST_CENTRING, _MOST_CENTRING = 1e-3, 0.8  # of the mean product of slacks
 _NEVER = 1e-9  # where a step of this inverse length meets no boundary
+_MET = 1e-9  # share of what limits are exceeded by at first that counts as nothing
+
+
+class MixedMatrices(NamedTuple):
+    """The program: `rows` (M, N, p, n) of N choices in M matrices, and what their weights x fulfil.
+
+    `equal` @ x = `sums`, where each choice has a one in one row, and `bounded` @ x <= `limits`. `first` are positive
+    weights that fulfil the equations, `roof` is N, positive definite.
+    """
+
+    rows: Array
+    first: Array
+    equal: Array
+    sums: Array
+    bounded: Array
+    limits: Array
+    roof: Array
 
 
 class EigenvalueBracket(NamedTuple):
-    """A feasible point: t and the `total` of y bracket the optimum; weights `x` (N,), multipliers `Z` (M, n, n)."""
+    """A point: t and the `total` of y and l bracket the optimum; weights `x` (N,), multipliers `Z` (M, n, n).
+
+    t is -inf as long as the weights exceed limits.
+    """
 
     t: float
     total: float
@@ -38,49 +61,62 @@ class EigenvalueBracket(NamedTuple):
     Z: Array
 
 
-def brackets(rows: Array, group: Index) -> Iterator[EigenvalueBracket]:
-    """Ever closer brackets for `rows` (M, N, p, n) of N choices, sorted by their `group` (N,), in M matrices.
-
-    They end where rounding stops them, or after forty steps.
-    """
-    program = _EigenvalueProgram(rows, group)
+def brackets(program: MixedMatrices) -> Iterator[EigenvalueBracket]:
+    """Ever closer brackets, which end where rounding stops them, or after sixty steps."""
+    points = _EigenvalueProgram(program)
     for _ in range(_STEPS):
-        yield program.bracket
-        if not program.step():
+        yield points.bracket
+        if not points.step():
             return
 
 
 class _EigenvalueProgram:
-    """What does not change, and the iterate: S, x, s > 0 and Z, with t and y."""
+    """What does not change, and the iterate: S, x, r = d - B x > 0 and Z, s, l > 0, with t and y.
 
-    def __init__(self, rows: Array, group: Index) -> None:
-        M, N, _, n = rows.shape
-        grams = np.swapaxes(rows, -1, -2) @ rows
-        self.size = float(np.trace(grams, axis1=2, axis2=3).max()) or 1.0
-        self.group, self.members = group, (group == np.arange(group[-1] + 1)[:, None]).astype(float)
-        self.first = np.searchsorted(group, np.arange(group[-1] + 1))
-        columns = np.moveaxis(rows, -1, 1) / np.sqrt(self.size)
-        self.shape, self.columns = columns.shape, columns.reshape(M, n, -1)
-        minus = np.broadcast_to(-svec(np.eye(n)), (M, 1, n * (n + 1) // 2))
-        every = np.concatenate([svec(grams / self.size), minus], axis=1)
-        self.G = np.ascontiguousarray(every.swapaxes(0, 1)).reshape(N + 1, -1)  # choices, and last t
-        self.x = (1 / self.members.sum(axis=1))[group]
-        self.Z = np.broadcast_to(np.eye(n) / (M * n), (M, n, n)).copy()
-        W, q = self._matrices(np.append(self.x, 0.0)), self._values(self.Z)
-        least, most = float(np.linalg.eigvalsh(W)[:, 0].min()), np.maximum.reduceat(q, self.first)
-        self.t = least - _ROOM * float(most.sum())
-        self.y = most + _ROOM * most.sum() / most.size
-        self.S, self.s = W - self.t * np.eye(n), self.y[group] - q
+    `missed` is the share of what r exceeds d - B x by at first that is left.
+    """
+
+    def __init__(self, program: MixedMatrices) -> None:
+        rows, self.x, self.E, self.e, self.B, self.d, self.roof = program
+        M, _, self.p, n = rows.shape
+        self.size = float(np.sum(rows**2, axis=(2, 3)).max()) or 1.0
+        self.rows = np.moveaxis(rows, 2, 1) / np.sqrt(self.size)  # (M, p, N, n)
+        self.flat = self.rows.reshape(M, -1, n)
+        self.Z = np.broadcast_to(np.eye(n) / (M * np.trace(self.roof)), (M, n, n)).copy()
+        W, q = self._matrices(np.append(self.x, 0.0)), self._products(self.Z)[:-1]
+        room = _ROOM * float(self.e @ self._most(q))
+        self.t = float(np.linalg.eigvalsh(W)[:, 0].min() / np.linalg.norm(self.roof, 2)) - room
+        self.S = W - self.t * self.roof
+        self.r = np.maximum(self.d - self.B @ self.x, _ROOM * np.maximum(np.abs(self.d), 1.0))
+        self.l = room / self.r
+        self.y = self._most(q - self.l @ self.B) + room / self.e.sum()
+        self.s = self._slack()
+        self.missed = float(np.any(self._exceeded() != 0))
+
+    def _most(self, values: Array) -> Array:
+        """The largest of each equation's choices."""
+        return np.asarray(np.where(self.E > 0, values, -np.inf).max(axis=1))
+
+    def _slack(self) -> Array:
+        return np.asarray(self.y @ self.E + self.l @ self.B - self._products(self.Z)[:-1])
+
+    def _exceeded(self) -> Array:
+        return np.asarray(self.d - self.B @ self.x - self.r)
 
     @property
     def bracket(self) -> EigenvalueBracket:
-        return EigenvalueBracket(self.t * self.size, float(self.y.sum()) * self.size, self.x, self.Z)
+        t, total = -np.inf if self.missed else self.t, float(self.e @ self.y + self.d @ self.l)
+        return EigenvalueBracket(t * self.size, total * self.size, self.x, self.Z)
 
     def _matrices(self, u: Array) -> Array:
-        return smat((u @ self.G).reshape(len(self.Z), -1))
+        """Sum of u_j G_j for all matrices, less the last u times N."""
+        weighted = self.flat * np.tile(u[:-1], self.p)[:, None]
+        return np.asarray(np.swapaxes(weighted, 1, 2) @ self.flat - u[-1] * self.roof)
 
-    def _values(self, Z: Array) -> Array:
-        return np.asarray(self.G[:-1] @ svec(Z).ravel())
+    def _products(self, Z: Array) -> Array:
+        """<G_j, Z> summed over the matrices, and that of t, -<N, Z>."""
+        of_rows = np.sum((self.flat @ Z) * self.flat, axis=(0, 2))
+        return np.append(of_rows.reshape(self.p, -1).sum(axis=0), -np.sum(Z * self.roof))
 
     def step(self) -> bool:
         """Go on, and say whether there is anywhere to go."""
@@ -88,61 +124,103 @@ class _EigenvalueProgram:
             self._go()
         except np.linalg.LinAlgError:
             return False
-        return bool(np.isfinite(self.t) and np.all(np.isfinite(self.y)) and np.all(self.s > 0))
+        inside = [np.all(each > 0) for each in (self.x, self.s, self.r, self.l)]
+        return bool(np.isfinite(self.t) and np.all(np.isfinite(self.y)) and all(inside))
 
     def _go(self) -> None:
         inverse = symmetrise(np.asarray(np.linalg.inv(self.S)))  # it is in the step itself: mu S^-1 is where Z is led
         factor = sl.cho_factor(self._normal(inverse), lower=True, check_finite=False)
-        gap, count = float(self.y.sum() - self.t), self.x.size + self.S.shape[0] * self.S.shape[1]
-        dx, dt, dS, dZ, dy, ds = self._direction(factor, inverse, 0.0, None)
-        primal, dual = self._reach(dx, dS, dZ, ds)
-        after = np.sum((self.S + primal * dS) * (self.Z + dual * dZ)) + (self.x + primal * dx) @ (self.s + dual * ds)
+        count = self.x.size + self.r.size + self.S.shape[0] * self.S.shape[1]
+        gap = _complementarity(self.S, self.x, self.r, self.Z, self.s, self.l)
+        step = self._direction(factor, inverse, 0.0, (0.0, 0.0, 0.0))
+        primal, dual = self._reach(step)
+        after = _complementarity(
+            self.S + primal * step.S, self.x + primal * step.x, self.r + primal * step.r,
+            self.Z + dual * step.Z, self.s + dual * step.s, self.l + dual * step.l,
+        )  # fmt: skip
         centring = float(np.clip((after / gap) ** 2, _LEAST_CENTRING, _MOST_CENTRING))
-        second = symmetrise(dZ @ dS @ inverse), dx * ds / self.x
-        dx, dt, dS, dZ, dy, ds = self._direction(factor, inverse, centring * gap / count, second)
-        primal, dual = self._reach(dx, dS, dZ, ds)
-        self.x, self.t, self.S = self.x + primal * dx, self.t + primal * dt, self.S + primal * dS
-        Z = self.Z + dual * dZ
-        mass = float(np.trace(Z, axis1=1, axis2=2).sum())  # 1, but for what rounding adds up to over the steps
-        self.y, self.Z = (self.y + dual * dy) / mass, Z / mass
-        self.s = self.y[self.group] - self._values(self.Z)
+        second = symmetrise(step.Z @ step.S @ inverse), step.x * step.s / self.x, step.r * step.l / self.r
+        step = self._direction(factor, inverse, centring * gap / count, second)
+        primal, dual = self._reach(step)
+        self.x, self.t, self.S = self.x + primal * step.x, self.t + primal * step.t, self.S + primal * step.S
+        Z = self.Z + dual * step.Z
+        mass = float(np.sum(Z * self.roof))  # 1, but for what rounding adds up to over the steps
+        self.y, self.l, self.Z = (self.y + dual * step.y) / mass, (self.l + dual * step.l) / mass, Z / mass
+        left = self.missed * (1 - primal)
+        self.missed = left if left > _MET else 0.0
+        self.r = self.r + primal * step.r if self.missed else self.d - self.B @ self.x
+        self.s = self._slack()
 
     def _normal(self, inverse: Array) -> Array:
-        """<G_j, Z G_l S^-1> summed over the matrices, and s/x on the diagonal."""
+        """<G_j, Z G_l S^-1> summed over the matrices, s/x on the diagonal, and what the limits add.
+
+        Of few rows each it is made of their products; of others, of those of matrices.
+        """
         N = self.x.size
-        left = np.moveaxis((self.Z @ self.columns).reshape(self.shape), 1, 2)
-        right = np.moveaxis((inverse @ self.columns).reshape(self.shape), 1, 3)
-        moved = np.concatenate([left @ right, -(self.Z @ inverse)[:, None]], axis=1)
-        moved += moved.swapaxes(-1, -2)
-        found = self.G @ svec(moved).swapaxes(0, 1).reshape(N + 1, -1).T / 2
+        found = np.zeros((N + 1, N + 1))
+        inner = found[:-1, :-1]
+        for c, Z, V in zip(self.rows, self.Z, inverse, strict=True):
+            left, right = c @ Z, c @ V
+            if self.p * (self.p + 1) <= len(Z) / 2:
+                for a, b in combinations_with_replacement(range(self.p), 2):
+                    part = (left[a] @ c[b].T) * (right[a] @ c[b].T)
+                    inner += part if a == b else part + part.T
+            else:
+                grams, moved = (np.einsum("pja,pjb->jab", *pair, optimize=True) for pair in ((c, c), (left, right)))
+                inner += svec(grams) @ svec(symmetrise(moved)).T
+        found[-1] = found[:, -1] = -self._products(symmetrise(self.Z @ self.roof @ inverse))
         found[np.arange(N), np.arange(N)] += self.s / self.x
+        inner += self.B.T @ ((self.l / self.r)[:, None] * self.B)
         return symmetrise(found)
 
     def _direction(
-        self, factor: tuple[Array, bool], inverse: Array, mu: float, second: tuple[Array, Array] | None
-    ) -> tuple[Array, float, Array, Array, Array, Array]:
-        """Newton's step to S Z = x s = mu, less the `second` order of the step that was tried."""
-        wanted = mu * inverse if second is None else mu * inverse - second[0]
-        of_x = mu / self.x if second is None else mu / self.x - second[1]
-        right = self.G @ svec(wanted).ravel()
-        right[:-1] += of_x - self.y[self.group]
+        self,
+        factor: tuple[Array, bool],
+        inverse: Array,
+        mu: float,
+        second: tuple[Array | float, Array | float, Array | float],
+    ) -> _Step:
+        """Newton's step to S Z = x s = r l = mu, less the `second` order of the step that was tried."""
+        of_S, of_x, of_r = mu * inverse - second[0], mu / self.x - second[1], mu / self.r - second[2]
+        exceeded = self._exceeded()
+        led = of_r - self.l / self.r * exceeded
+        right = self._products(of_S)
+        right[:-1] += of_x - self.y @ self.E - led @ self.B
         right[-1] += 1.0
-        members = np.hstack([self.members, np.zeros((len(self.members), 1))])
-        solved = sl.cho_solve(factor, np.column_stack([right, members.T]), check_finite=False)
-        dy = np.linalg.solve(members @ solved[:, 1:], members @ solved[:, 0])
-        u = solved[:, 0] - solved[:, 1:] @ dy
-        dS = self._matrices(u)
-        dZ = wanted - self.Z - symmetrise(self.Z @ dS @ inverse)
-        return u[:-1], float(u[-1]), dS, dZ, dy, dy[self.group] - self._values(dZ)
+        E = np.hstack([self.E, np.zeros((len(self.E), 1))])
+        solved = sl.cho_solve(factor, np.column_stack([right, E.T]), check_finite=False)
+        y = np.linalg.solve(E @ solved[:, 1:], E @ solved[:, 0])
+        u = solved[:, 0] - solved[:, 1:] @ y
+        x, S, used = u[:-1], self._matrices(u), self.B @ u[:-1]
+        Z = of_S - self.Z - symmetrise(self.Z @ S @ inverse)
+        s, l = of_x - self.s - self.s / self.x * x, led - self.l + self.l / self.r * used
+        return _Step(x, float(u[-1]), S, exceeded - used, Z, y, l, s)
 
-    def _reach(self, dx: Array, dS: Array, dZ: Array, ds: Array) -> tuple[float, float]:
-        """How far x and S, and s and Z, go along a step: nearly to the boundary, and no farther than the whole step."""
-        back = [
-            max(_shrinks(self.S, dS), float(np.max(-dx / self.x))),
-            max(_shrinks(self.Z, dZ), float(np.max(-ds / self.s))),
-        ]
-        primal, dual = (min(1.0, _INSIDE / max(each, _NEVER)) for each in back)
-        return primal, dual
+    def _reach(self, step: _Step) -> tuple[float, float]:
+        """How far x, r and S, and s, l and Z, go along a step: nearly to the boundary, at most the whole step."""
+        primal = max(_shrinks(self.S, step.S), _shortens(self.x, step.x), _shortens(self.r, step.r))
+        dual = max(_shrinks(self.Z, step.Z), _shortens(self.s, step.s), _shortens(self.l, step.l))
+        return min(1.0, _INSIDE / max(primal, _NEVER)), min(1.0, _INSIDE / max(dual, _NEVER))
+
+
+class _Step(NamedTuple):
+    x: Array
+    t: float
+    S: Array
+    r: Array
+    Z: Array
+    y: Array
+    l: Array
+    s: Array
+
+
+def _complementarity(S: Array, x: Array, r: Array, Z: Array, s: Array, l: Array) -> float:
+    return float(np.sum(S * Z) + x @ s + r @ l)
+
+
+def _shortens(x: Array, change: Array) -> float:
+    """The inverse length at which an entry of x + length * change is zero first."""
+    return float(np.max(-change / x, initial=0.0))
 
 
 def _shrinks(X: Array, change: Array) -> float:

@@ -9,11 +9,13 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design.bounds import relaxation
 from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, local_part, ordered_part, zone_part
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
 from sampling_design.design.bounds.ordered_windows import flow_of, ordered_bound, relax_ordered
+from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import begins, origin_zones, regions, tightened, zoned
@@ -414,3 +416,39 @@ def test_a_peak_that_no_sample_meets_does_not_make_the_rest_coarse(monkeypatch):
     first, used, finest = at.values()
     assert used <= finest * (1 + 1e-4)
     assert first >= finest * (1 + 1e-3)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"window": 9.0},
+        {"fixed": (0.5, 2.5), "forbidden": ((3.0, 3.6),)},
+        {"fixed": (0.0, 1.0, 2.0, 2.5, 3.2)},
+        {"forbidden": ((0.3, 1.0), (1.3, 2.0), (2.3, 3.0), (3.3, 4.0)), "samples": 4},
+    ],
+    ids=["any", "longer window", "fixed and closed", "all fixed", "repeating hours"],
+)
+def test_relaxations_of_many_states_are_those_of_a_general_solver(monkeypatch, given):
+    """Of any number of states: the same value, and weights and multipliers that are worth as much."""
+    case = problem(**given)
+    general = relax_placed(case)
+    monkeypatch.setattr(relaxation, "MANY_STATES", 0)
+    found = relax_placed(case)
+    assert (found.record.name, general.record.name) == ("sampling_design", "Clarabel")
+    assert found.value == pytest.approx(general.value, rel=1e-5)
+    assert found.weights.sum() == pytest.approx(case.samples - case.fixed.size, abs=1e-6)
+    shares = np.einsum("mij,ij->", found.Z, case.rows.N) * case.rows.unit
+    assert shares == pytest.approx(1.0)
+    values = [bound.placed_bound(case, each.starts, each.Z) for each in (found, general)]
+    assert values[0] <= values[1] * (1 + 1e-5)
+
+
+@pytest.mark.parametrize("side", ["late", "early"])
+def test_zones_of_many_states_are_bounded_as_by_a_general_solver(monkeypatch, side):
+    """The first sample's zone is a time, so that no weights lie inside all limits."""
+    case = problem(samples=4)
+    zones = regions(case, side)[0]
+    general = zone_part(case, zones, side)[0].value
+    monkeypatch.setattr(relaxation, "MANY_STATES", 0)
+    assert zone_part(case, zones, side)[0].value <= general * (1 + 1e-4)

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.evidence import first_bound, placed_part
-from sampling_design.design.bounds.relaxation import grams_at, relax_placed, repeating, solve_relaxation
+from sampling_design.design.bounds.relaxation import relax_placed, repeating, rows_at, solve_relaxation
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible
@@ -41,10 +41,9 @@ def test_one_repetition_is_worth_all_of_them():
     found = relax_placed(case)
     starts = np.arange(24) / 8
     mask = case.mask(found.times)
-    grams = grams_at(case, found.times, starts, mask)
+    rows = rows_at(case, found.times, starts, mask)
     ahead = np.mod(found.times - found.times[:, None] + 1e-9, case.period) < case.spacing
-    none = np.zeros((starts.size, 4, 4))
-    whole = solve_relaxation(case, found.times, starts, grams, none, (1.0 * ahead, np.ones(found.times.size)), 7.0)
+    whole = solve_relaxation(case, found.times, starts, rows, (1.0 * ahead, np.ones(found.times.size)), 7.0)
     assert found.value <= whole.value * (1 + 1e-4)  # it knows more windows
     assert found.value == pytest.approx(whole.value, rel=0.01)
     shares = np.einsum("mij,ij->m", found.Z, case.rows.N) * case.rows.unit

@@ -22,7 +22,7 @@ from sampling_design.design.bounds.zones import MARGIN, Cut
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import EPS, MANY_STATES, ROUNDING_MARGIN
 from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows, squares
-from sampling_design.numerics.eigenvalue_program import EigenvalueBracket, brackets
+from sampling_design.numerics.eigenvalue_program import EigenvalueBracket, MixedMatrices, brackets
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
 
@@ -49,7 +49,7 @@ def relax_ordered(
     """Multipliers (k, n, n) for schedules in `zones`, near a sigma that is aimed at, and where to cut next."""
     points = _OrderedPoints(flow, zones)
     found: EigenvalueBracket | None = None
-    for found in brackets(points.rows, points.owner):
+    for found in brackets(points.program):
         left = found.total - found.t
         if budget.over or left <= _CONVERGED * abs(found.t) or (found.t > aim**2 and left <= _NEAR * found.t):
             break
@@ -69,6 +69,14 @@ class _OrderedPoints:
         self.measured = np.stack([np.concatenate(repeats[:-1], axis=1), np.concatenate(repeats[1:], axis=1)])
         after = np.arange(len(zones))[:, None] > self.owner
         self.rows = self.measured[after.astype(np.intp), np.arange(self.owner.size)]
+
+    @property
+    def program(self) -> MixedMatrices:
+        """Each sample has its own weights, which sum to one."""
+        members = (self.owner == np.arange(len(self.zones))[:, None]).astype(float)
+        first = (1 / members.sum(axis=1))[self.owner]
+        none, n = np.zeros((0, self.owner.size)), self.rows.shape[-1]
+        return MixedMatrices(self.rows, first, members, np.ones(len(members)), none, none[:, 0], np.eye(n))
 
     def cut(self, found: EigenvalueBracket) -> Cut:
         """The sample whose early and late shares differ most for the windows that matter, and its mean time.

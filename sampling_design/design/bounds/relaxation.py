@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sampling_design import __version__
 from sampling_design.design.problem.design_problem import DesignProblem
-from sampling_design.design.problem.gram import lags
+from sampling_design.design.problem.gram import MANY_STATES, lags
 from sampling_design.design.problem.orthogonal_flow import squares
 from sampling_design.numerics import conic_programs
+from sampling_design.numerics.eigenvalue_program import MixedMatrices, brackets
+from sampling_design.numerics.linalg import psd_root
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
@@ -74,10 +77,10 @@ def relax_placed(problem: DesignProblem, seconds: float | None = None) -> Relaxa
     times, mask, starts, linear = relaxation_grid(problem)
     if seconds is not None and seconds <= 0:
         return unsolved(problem, times, starts)
-    grams = grams_at(problem, times, starts, mask)
-    constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)
+    every, there = np.append(times, problem.fixed), np.concatenate([mask, problem.mask(problem.fixed)])
+    rows = rows_at(problem, every, starts, there)
     spare = float(problem.samples - problem.fixed.size)
-    return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
+    return solve_relaxation(problem, times, starts, rows, linear, spare, seconds)
 
 
 def repeating(problem: DesignProblem) -> bool:
@@ -112,11 +115,11 @@ def _relax_repeating(problem: DesignProblem, shift: float, seconds: float | None
     ahead = np.mod(every - times[:, None] + tiny, P) < problem.spacing
     crowd = np.sum(ahead.reshape(times.size, repeats, times.size), axis=1, dtype=float)
     linear = crowd, np.full(times.size, max(1.0, step / problem.spacing))
-    none = np.zeros((starts.size, *problem.rows.N.shape))
+    rows = psd_root(grams).swapaxes(-1, -2)
     posed = np.zeros(starts.size, dtype=bool)
     posed[0] = True
     while True:
-        parts = times, starts[posed], grams[posed], none[posed], linear, problem.samples / repeats
+        parts = times, starts[posed], rows[posed], linear, problem.samples / repeats
         left = budget.seconds_left(LEAST_SECONDS)
         found = solve_relaxation(problem, *parts, left)
         least_sigma2, _ = problem.rows.least(np.einsum("mjab,j->mab", grams, found.weights))
@@ -173,13 +176,22 @@ def _telling_starts(problem: DesignProblem) -> Array:
     return found[:: int(np.ceil(found.size / most))] if found.size else found
 
 
-def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) -> Array:
-    """(M, N, n, n) scaled Gram matrices of samples at `times` in the windows that `starts` mean."""
-    rows = problem.rows
-    n, p = problem.plant.n_states, problem.plant.n_outputs
+def rows_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) -> Array:
+    """(M, N, rows, n) scaled rows of samples at `times` in the windows that `starts` mean, zero where none are seen."""
     r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, problem.closes(starts)[:, None])
-    c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
-    return squares(c.reshape(starts.size, times.size, -1, n) if times.size else np.zeros((starts.size, 0, p, n)))
+    c = problem.rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
+    return np.asarray(c.reshape(starts.size, times.size, r.shape[-1] * c.shape[-2], c.shape[-1]))
+
+
+def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) -> Array:
+    """(M, N, n, n) their Gram matrices."""
+    return squares(rows_at(problem, times, starts, mask))
+
+
+def mixed(rows: Array, weights: Array) -> Array:
+    """Sums (M, n, n) of the Gram matrices of rows (M, N, p, n), weighed."""
+    weighted = (rows * weights[:, None, None]).reshape(len(rows), -1, rows.shape[-1])
+    return np.asarray(np.swapaxes(weighted, 1, 2) @ rows.reshape(weighted.shape))
 
 
 def sigma_of_moved(problem: DesignProblem, times: Array, mask: Mask) -> float:
@@ -206,15 +218,19 @@ def solve_relaxation(
     problem: DesignProblem,
     times: Array,
     starts: Array,
-    grams: Array,
-    constant: Array,
+    rows: Array,
     linear: tuple[Array, Array],
     count: float,
     seconds: float | None = None,
     tolerance: float = TOLERANCE,
 ) -> Relaxation:
-    """Maximise t subject to sum w = count, rows w <= limits, w >= 0 and the windows' inequalities."""
-    rows = problem.rows
+    """Maximise t subject to sum w = count, linear rows w <= limits, w >= 0 and the windows' inequalities.
+
+    `rows` are those of samples at `times`, and after them those of fixed ones. Of many states a general solver would
+    need gigabytes, and ten times as long.
+    """
+    if problem.plant.n_states > MANY_STATES:
+        return _solve_large(problem, times, starts, rows, linear, count, Budget(seconds), tolerance)
     N = times.size
     cost = np.zeros(N + 1)
     cost[-1] = -1.0
@@ -224,16 +240,53 @@ def solve_relaxation(
         ("zero", total, np.array([count])),
         ("nonnegative", bounded, np.concatenate([linear[1], np.zeros(N)])),
     ]
-    roof = conic_programs.svec(rows.N)[:, None]
-    for m in range(starts.size):
-        blocks.append(("psd", np.hstack([-conic_programs.svec(grams[m]).T, roof]), conic_programs.svec(constant[m])))
+    roof = conic_programs.svec(problem.rows.N)[:, None]
+    for grams in map(squares, rows):
+        constant = grams[N:].sum(axis=0)
+        blocks.append(("psd", np.hstack([-conic_programs.svec(grams[:N]).T, roof]), conic_programs.svec(constant)))
     found = conic_programs.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
     Z, _ = feasible_multipliers(problem, found.z[2:])
     weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
-    return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)
+    return Relaxation(times, weights, starts, Z, found.x[-1] / problem.rows.unit, found.record)
 
 
-def feasible_multipliers(problem: DesignProblem, found: Sequence[Array]) -> tuple[Array, float]:
+def _solve_large(
+    problem: DesignProblem,
+    times: Array,
+    starts: Array,
+    rows: Array,
+    linear: tuple[Array, Array],
+    count: float,
+    budget: Budget,
+    tolerance: float,
+) -> Relaxation:
+    """The same by `eigenvalue_program`, in which a fixed sample is a choice of its own."""
+    free, fixed = times.size if count > 0 else 0, rows.shape[1] - times.size
+    own = np.append(np.zeros(free), np.arange(1.0, fixed + 1))  # which equation a choice belongs to
+    each = np.unique(own)[:, None]
+    bounded = np.zeros((linear[1].size, own.size))
+    bounded[:, :free] = linear[0][:, :free]
+    program = MixedMatrices(
+        rows=rows[:, times.size - free :], first=np.where(own > 0, 1.0, count / max(free, 1)),
+        equal=(own == each).astype(float), sums=np.where(each[:, 0] > 0, 1.0, count),
+        bounded=bounded, limits=linear[1] + tolerance * np.maximum(np.abs(linear[1]), 1.0), roof=problem.rows.N,
+    )  # fmt: skip
+    steps, status = 0, conic_programs.INACCURATE
+    for steps, found in enumerate(brackets(program)):  # noqa: B007
+        if found.total - found.t <= tolerance * min(abs(found.t), abs(found.total)):
+            status = conic_programs.SOLVED
+        elif budget.over:
+            status = conic_programs.BUDGET
+        else:
+            continue
+        break
+    record = SolverRecord("sampling_design", __version__, status, steps, {"tolerance": tolerance})
+    Z, _ = feasible_multipliers(problem, found.Z)
+    weights = np.append(found.x[:free], np.zeros(times.size - free))
+    return Relaxation(times, weights, starts, Z, found.t / problem.rows.unit, record)
+
+
+def feasible_multipliers(problem: DesignProblem, found: Sequence[Array] | Array) -> tuple[Array, float]:
     """Psd parts with sum <Z_m, S'S> = 1, and what they were divided by; any such give a true bound."""
     rows = problem.rows
     Z = psd_part(np.array(found))

@@ -14,8 +14,9 @@ from sampling_design.design.bounds.relaxation import (
     JUST_BESIDE,
     LEAST_SECONDS,
     Relaxation,
-    grams_at,
     least_points,
+    mixed,
+    rows_at,
     solve_relaxation,
 )
 from sampling_design.design.bounds.weak_duality import (
@@ -57,21 +58,19 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budg
     starts = _window_starts(problem, zones, hints)
     points, step = _points(problem, zones, starts)
     times, owner = points.times, points.owner
-    grams = grams_at(problem, times, starts, points.mask)
-    rows, limits = _order_rows(problem, zones, points, step)
-    none = np.zeros((starts.size, *grams.shape[2:]))
+    rows = rows_at(problem, times, starts, points.mask)
+    ordered, limits = _order_rows(problem, zones, points, step)
     posed = np.arange(starts.size) < hints.size
     if not hints.size:
         posed[:: max(1, starts.size // _FIRST)] = True
     for done in range(1, _FIRST_ROUNDS + 1):
         used = (owner < 0) | posed[owner]
-        parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
+        parts = rows[posed][:, used], (ordered[:, used], limits), float(problem.samples)
         left = budget.seconds_left(LEAST_SECONDS)
         found = solve_relaxation(problem, times[used], starts[posed], *parts, left, tolerance=_TOLERANCE)
         if budget.over:
             break
-        summed = np.einsum("mjab,j->mab", grams[:, used], found.weights)
-        sigma2 = np.where(posed, np.inf, problem.rows.least(summed)[0])
+        sigma2 = np.where(posed, np.inf, problem.rows.least(mixed(rows[:, used], found.weights))[0])
         worst = np.argsort(sigma2, kind="stable")[:_ADDED]
         worst = worst[sigma2[worst] < found.value * (1 - _OBSERVED_ENOUGH)]
         if not worst.size or (hints.size and done >= _ROUNDS and sigma2[worst[0]] > found.value * (1 - _MISSED)):
@@ -177,8 +176,8 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation, point
     k = problem.samples
     kept_here = np.isin(found.starts, matters(problem, found))
     starts, Z = found.starts[kept_here], found.Z[kept_here]
-    grams = grams_at(problem, points.times, starts, points.mask)
-    W = np.einsum("mjab,j->mab", grams, found.weights)
+    rows = rows_at(problem, points.times, starts, points.mask)
+    W = mixed(rows, found.weights)
     size = float(np.trace(W, axis1=1, axis2=2).max(initial=0.0))  # a window may see nothing at all
     W = W + _REGULAR * max(size, np.finfo(float).tiny / _REGULAR) * np.eye(W.shape[-1])
     gains, cuts, width = np.zeros(k), zones.mean(axis=1), zones[:, 1] - zones[:, 0]
@@ -193,7 +192,7 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation, point
         cuts[i] = share @ found.times / share.sum()
         late = found.times >= cuts[i]
         parts = [share * side / max(float((share * side).sum()), 1e-300) for side in (late, ~late)]
-        D = np.einsum("mjab,j->mab", grams, parts[0] - parts[1])
+        D = mixed(rows, parts[0] - parts[1])
         weight = (share * late).sum() * (share * ~late).sum()
         gains[i] = weight * float(np.einsum("mab,mbc,mca->", Z, D, np.linalg.solve(W, D)))
     index = int(np.argmax(gains)) if gains.max() > 0 else int(np.argmax(width))

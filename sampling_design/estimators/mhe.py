@@ -262,12 +262,13 @@ class MovingHorizonEstimator(WindowedEstimator):
         new = self._limited(self._incoming(state, sample))
         scheduled = self.claim.fits(state, t, new.mask)
         free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
-        solved = self._slid_window(state, start, new) if free else None
+        solved, band = self._slid_window(state, start, new) if free else (None, None)
         if solved is None:
             solved = self._solved(state, start, new)
         solved.x.setflags(write=False)
         node = self.recorder.node(state, new, solved, start.s, scheduled)
-        self._histories.keep(node)
+        if band is not None:
+            self._histories.keep(node, band)
         return node
 
     def _solved(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample:

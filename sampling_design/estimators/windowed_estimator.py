@@ -37,7 +37,7 @@ from sampling_design.estimators.online.verdict import (
 )
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
-from sampling_design.estimators.window.sliding import BandCache
+from sampling_design.estimators.window.sliding import BandCache, SlidingBand
 from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import covariance_root
@@ -275,21 +275,24 @@ class WindowedEstimator(OnlineEstimator):
         self.loop.refuse_overflow(flow, s, Y)
         return x, Y, beta
 
-    def _slid_window(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample | None:
+    def _slid_window(
+        self, state: EstimatorState, start: WindowStart, new: IncomingNode
+    ) -> tuple[SolvedSample | None, SlidingBand | None]:
         """Return what the window says, from what is remembered of it; None where that is no use or a constraint acts.
 
-        Numbers that overflow are looked at, so that numpy need not tell of them.
+        And what is remembered now, for the node to come. Numbers that overflow are looked at, so that numpy need not
+        tell of them.
         """
         initial, nodes, s, t = None, state.nodes, start.s, new.t
         if not self._slides or t <= s:
-            return None
+            return None, None
         first = len(nodes) - len(start.inside)
         while first < len(nodes) and nodes[first].t <= s:
             initial, first = nodes[first], first + 1
         prior = self._fixed_prior if start.root is None else start.root @ start.root.T
         held = self._histories.of(nodes, first)
         if held is None:
-            return None
+            return None, None
         sliding, at = held
         if first == len(nodes):
             gap = self.loop.between(state, s, t)
@@ -302,26 +305,25 @@ class WindowedEstimator(OnlineEstimator):
             if new.drift is not self.table.no_drift:
                 reference += new.drift
         if not sliding.append(new, reference, predicted=first < len(nodes)):
-            return None
-        self._histories.begun(sliding)
+            return None, None
         optimum = sliding.solve(at, start, prior, initial, gap, self.constraints.active)
         if optimum is None:
-            return None
+            return None, sliding
         if optimum.path is not None:
             if not self.constraints.hold(optimum.path, lambda: sliding.samples(at, initial)):
-                return None
+                return None, sliding
             if self._between is not None and self.constraints.x is not None:
                 points = self._between.states(state, [s, *(node.t for node in nodes[first:])], optimum.path)
                 if points is None or not all_inside(self.constraints.x, points):
-                    return None
+                    return None, sliding
         terms = scaled_bound(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.size) + optimum.energy
         dual = optimum.cost - DUAL_MARGIN * max(optimum.above, DRIFT * terms)
         verdict = judged(self.weights, terms, dual, nodes[-1])
         if verdict.status == "bounds disproved" and nodes[-1].stands:
-            return None
+            return None, sliding
         sliding.cancelling |= verdict.sound and optimum.above > terms
-        return SolvedSample(optimum.x, optimum.Y, verdict, "banded", "", optimum.cost, optimum.precision)
+        return SolvedSample(optimum.x, optimum.Y, verdict, "banded", "", optimum.cost, optimum.precision), sliding
 
     def _judged(
         self, state: EstimatorState, new: IncomingNode, terms: float, dual: float, held: float = 0.0

@@ -52,7 +52,7 @@ def passed(node: HistoryNode, flow: GapFlow, drift: Array | None, x: Array) -> A
     led: Array = flow.size.dot(abs(node.x))
     if drift is not None:
         led += abs(drift)
-    return np.maximum(abs(x), led, out=led)
+    return np.asarray(np.maximum(abs(x), led))
 
 
 class CovariancePrecision(NamedTuple):

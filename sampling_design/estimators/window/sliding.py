@@ -213,9 +213,9 @@ class SlidingBand:
         if self._direct:
             read[p + n :] = new.feedthrough
         off, root = kind.off.dot(read), self._roots.item(k)
-        half, held, d = off[:p], off[p:-n], root * root
-        np.multiply(off[-n:], root, self._pull[k])
-        sums[0], sums[1], sums[3] = half.dot(half) * d, kind.energy * d, held.dot(held)
+        scaled, held = off.dot(root), off[p:-n]
+        half, self._pull[k] = scaled[:p], scaled[-n:]
+        sums[0], sums[1], sums[3] = half.dot(half), kind.energy * (root * root), held.dot(held)
 
     def _join(self, k: int) -> None:
         """Put down what the gap before a node costs between references."""
@@ -265,11 +265,6 @@ class SlidingBand:
                 self._missed[k] = before - away if k == first else before - away + flow.F.dot(ahead)
                 self._join(k)
             ahead = away
-
-    def ends_with(self, node: HistoryNode) -> bool:
-        """Whether the last entry, of which there is no node yet, is that of a node."""
-        last = self._known[-1]
-        return last.y is node.y and last.drift is node.drift and last.feedthrough is node.feedthrough
 
     def _count_from(self, t: float) -> None:
         """Let discounts count from t."""
@@ -445,7 +440,6 @@ class BandCache:
     def __init__(self, table: FlowTable, energy: Callable[[Array], float]):
         self._table, self._energy = table, energy
         self._known: OrderedDict[int, tuple[HistoryNode, SlidingBand]] = OrderedDict()
-        self._begun: SlidingBand | None = None
 
     def of(self, nodes: tuple[HistoryNode, ...], first: int) -> tuple[SlidingBand, int] | None:
         """Return the band that ends with the last of `nodes`, and the number in it of node `first`; None if unfit."""
@@ -468,17 +462,11 @@ class BandCache:
             band.nodes.append(node)
         return band, 0
 
-    def begun(self, band: SlidingBand) -> None:
-        """Hold a band to whose last entry there is no node yet."""
-        self._begun = band
-
-    def keep(self, node: HistoryNode) -> None:
-        """Remember the band that was begun, if `node` is what its last entry has become."""
-        band, self._begun = self._begun, None
-        if band is not None and band.ends_with(node):
-            self._known[id(node)] = node, band
-            if len(self._known) > HISTORIES:
-                self._known.popitem(last=False)
+    def keep(self, node: HistoryNode, band: SlidingBand) -> None:
+        """Remember a band by the node that its last entry has become."""
+        self._known[id(node)] = node, band
+        if len(self._known) > HISTORIES:
+            self._known.popitem(last=False)
 
 
 def _factored(work: Array) -> WindowGains | None:

@@ -14,7 +14,7 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
-from sampling_design.estimators.online.estimate import Contradiction, Estimate
+from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, WindowStart
@@ -151,7 +151,7 @@ class KalmanFilter(WindowedEstimator):
         deviation, step, weighted_innovation = root_update(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(deviation.dot(deviation.T))), freeze(x + step)
         cost = float(weighted_innovation.dot(weighted_innovation))
-        past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
+        past = 0.0 if last.sample.y is None else last.cost / flow.growth
         verdict = self._judged(state, new, terms, cost * (1 - ROUNDING))
         if verdict.status == "bounds disproved" and last.stands:
             verdict = verdict._replace(
@@ -188,7 +188,7 @@ class KalmanFilter(WindowedEstimator):
             factor = float(np.sqrt((solution.dual - terms + room) / room)) if room > 0 else np.inf
             name = self.plant.outputs.names[means[0][0]]
             verdict = verdict._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
-        past = 0.0 if first.sample.y is None else first.estimate.cost * passed
+        past = 0.0 if first.sample.y is None else first.cost * passed
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
         solved = SolvedSample(x, Y, verdict, "filter", cost=past + solution.cost)
         return self.recorder.node(state, new, solved, nodes[0].t)
@@ -241,7 +241,7 @@ class KalmanFilter(WindowedEstimator):
         start = WindowStart(first.t, first.x, first.x, first.beta, None, nodes[1:-1])
         window = fresh._window(fresh.state, start, last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is looked at
-            smoothed, latest = smooth(window), last.estimate
+            smoothed, latest = smooth(window), fresh.recorder.of_node(fresh.state, len(nodes) - 1)
             covariances, estimates = smoothed.spread.covariances(), []
         if not np.isfinite(smoothed.nodes).all() or not np.isfinite(covariances).all():
             raise ArgumentError(
@@ -253,22 +253,10 @@ class KalmanFilter(WindowedEstimator):
             j = at[node.t]
             known = min(k + REMEMBERED // 2, len(nodes) - 1)
             covariance, radius, _ = represented(covariances[j], abs(smoothed.nodes[j]), latest.radius)
-            estimates.append(
-                fresh.recorder.proven(
-                    fresh.state,
-                    known,
-                    Estimate(
-                        node.t,
-                        freeze(smoothed.nodes[j]),
-                        freeze(covariance),
-                        radius,
-                        latest.status,
-                        certified=latest.certified,
-                        note=latest.note,
-                        cost=latest.cost,
-                        engine=smoothed.engine,
-                        window_start=first.t,
-                    ),
-                )
-            )
+            entries: dict[str, object] = {
+                "t": node.t, "x": freeze(smoothed.nodes[j]), "covariance": freeze(covariance), "radius": radius,
+                "status": latest.status, "certified": latest.certified, "note": latest.note, "cost": latest.cost,
+                "engine": smoothed.engine, "window_start": first.t,
+            }  # fmt: skip
+            estimates.append(fresh.recorder.proven(fresh.state, known, entries))
         return EstimateRecord.collect(self.plant, estimates, origin)

@@ -127,16 +127,17 @@ class WindowedEstimator(OnlineEstimator):
             measured = np.isfinite(y)
             y, mask = np.where(measured, y, 0.0), measured.astype(np.float64)
         flow, drift = self.loop.between(state, state.nodes[-1].t, sample.t)
-        return IncomingNode(sample.t, sample, y, mask, self._nothing if u is None else self.plant.D @ u, flow, drift)
+        feedthrough = self._nothing if u is None else self.plant.D @ u
+        return IncomingNode(sample.t, sample, y, mask, feedthrough, drift, None, flow)
 
     def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
-        return self.recorder.proven(state, node, state.nodes[node].estimate)
+        return self.recorder.of_node(state, node)
 
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
         at = state.node_before(t)
         if state.nodes[at].t == t:
             return self._handed_out(state, at)
-        return self.recorder.proven(state, at, self.recorder.predicted(state, at, t))
+        return self.recorder.predicted(state, at, t)
 
     def _after_input(self, state: EstimatorState, t: float) -> EstimatorState:
         a = state.last.t
@@ -298,13 +299,11 @@ class WindowedEstimator(OnlineEstimator):
             gap = self.loop.between(state, s, t)
             reference = gap[0].F.dot(start.x) + gap[1]
         else:
-            node = nodes[first]
-            own = node.flow if first > 0 and nodes[first - 1].t == s else None
-            gap = self.loop.between(state, s, node.t) if own is None else (own, node.drift)
+            gap = self.loop.between(state, s, nodes[first].t)
             reference = new.flow.F.dot(nodes[-1].x)
             if new.drift is not self.table.no_drift:
                 reference += new.drift
-        if not sliding.append(new, reference, predicted=first < len(nodes)):
+        if not sliding.append(new, new.flow, reference, predicted=first < len(nodes)):
             return None, None
         optimum = sliding.solve(at, start, prior, initial, gap, self.constraints.active)
         if optimum is None:
@@ -416,14 +415,9 @@ class WindowedEstimator(OnlineEstimator):
         n = self.plant.n_states
         if len(times) == 1:
             return [], np.zeros((0, n)), start.x[None]
-        first, last = times[1] - times[0], times[-1] - times[-2]
-        ends = self.table.get([first, last])
-        drift_first = state.drift(self.table, times[0], times[1])
-        if not inside:
-            flows, drift = ends[:1], [drift_first]
-        else:
-            flows = [ends[0], *(node.flow for node in inside[1:] if node.flow is not None), ends[1]]
-            drift = [drift_first, *(node.drift for node in inside[1:])]
+        flows = self.table.get([b - a for a, b in pairwise(times)])
+        drift = [state.drift(self.table, times[0], times[1]), *(node.drift for node in inside[1:])]
+        if inside:
             drift.append(state.drift(self.table, times[-2], times[-1]))
         known = [start.x, *(node.x for node in inside)]
         known.append(flows[-1].F @ known[-1] + drift[-1])

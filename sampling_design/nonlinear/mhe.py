@@ -251,6 +251,9 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self._latest: tuple[WindowData, WindowAnswer] | None = None
         self._scales_checked = False
 
+    def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
+        return self.loop.of_node(state.nodes[node])
+
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
         return self.loop.predicted(state, t)
 

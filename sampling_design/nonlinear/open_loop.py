@@ -14,7 +14,7 @@ import numpy as np
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import SolverError
 from sampling_design.estimators.online.estimate import Estimate, Status
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, SampleBranch
 from sampling_design.nonlinear.inclusion_bound import UNCOVERED, InclusionBound
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.simulation import CovarianceIntegrator, Integrator, unknown
@@ -181,14 +181,20 @@ class NonlinearLoop:
         **details: Any,
     ) -> HistoryNode:
         """Return a snapshot with the linearised covariance Y and the bound on V; what is linear only is empty."""
-        x, Y = freeze(x), freeze(Y)
-        estimate = self.estimate(sample.t, x, status, Y, square, counted, note, scheduled, **details)
         y = np.zeros(self.plant.n_outputs) if sample.y is None else np.nan_to_num(sample.y)
         mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
         nothing = np.zeros(0)
         return HistoryNode(
-            t=sample.t, sample=sample, y=y, mask=mask, feedthrough=nothing, flow=None, drift=nothing, limits=None,
-            x=x, Y=Y, beta=square, scheduled=scheduled, sound=True, estimate=estimate, counted=counted,
+            t=sample.t, sample=sample, y=y, mask=mask, feedthrough=nothing, drift=nothing, limits=None, x=freeze(x),
+            Y=freeze(Y), beta=square, scheduled=scheduled, sound=True, branch=SampleBranch(), status=status, note=note,
+            counted=counted, **details,
+        )  # fmt: skip
+
+    def of_node(self, node: HistoryNode) -> Estimate:
+        """Return the estimate of a node."""
+        return self.estimate(
+            node.t, node.x, node.status, node.Y, node.beta, node.counted, node.note, node.scheduled,
+            window_start=node.window_start, engine=node.engine, cost=node.cost,
         )  # fmt: skip
 
     def estimate(
@@ -226,7 +232,7 @@ class NonlinearLoop:
         """Return the estimate at t, open loop from the last node at or before it."""
         node = state.nodes[state.node_before(t)]
         if node.t == t:
-            return node.estimate
+            return self.of_node(node)
         last = self.since(node, t)
         x, Y, square, trouble = self.ahead(state, node, t, last)
         status: Status = "solver failed" if "fails" in trouble else "predicted"

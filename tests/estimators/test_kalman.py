@@ -21,7 +21,7 @@ from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import HistoryNode, KnownSample
+from sampling_design.estimators.online.history import HistoryNode
 from tests.benchmarks.baselines import periodic_at_equal_cost, standard_mhe
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -211,8 +211,8 @@ def test_what_estimates_keep_of_a_long_record_is_a_node_for_each_and_no_flow(giv
     found = estimator.run(record).estimates
     kept = Counter(type(each) for each in reached(found))
     assert kept[Estimate] == 80
-    assert kept[KnownSample] == 81  # with the prior
-    assert kept[GapFlow] == kept[HistoryNode] == 0
+    assert kept[HistoryNode] == 81  # with the prior
+    assert kept[GapFlow] == 0
 
 
 def reached(*begun):

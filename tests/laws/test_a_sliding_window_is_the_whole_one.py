@@ -37,12 +37,12 @@ class Watched(MovingHorizonEstimator):
         return super()._judged(state, new, terms, dual, held)
 
     def _slid_window(self, state, start, new):
-        found = super()._slid_window(state, start, new)
+        found, band = super()._slid_window(state, start, new)
         if found is not None:
             whole = self._solved(state, start, new)
             self.slid += 1
             self.worst = max(self.worst, difference(found, whole, self.terms - whole.cost))
-        return found
+        return found, band
 
 
 def difference(one, other, least):

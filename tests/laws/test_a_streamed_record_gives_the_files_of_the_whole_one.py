@@ -13,7 +13,6 @@ from sampling_design.cli.estimate_rows import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.online import in_order
-from sampling_design.estimators.online.estimate import with_proof
 from sampling_design.estimators.online.history import InputHistory
 from sampling_design.estimators.records import measurement_table
 from sampling_design.estimators.records.measurement_table import MeasurementTable
@@ -102,7 +101,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     moved = sd.estimators.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
     if radii == "ellipsoids":
         object.__setattr__(moved, "radii", whole.ellipsoid_radii)
-        moved.__dict__["estimates"] = tuple(with_proof(each, None) for each in whole.estimates)
+        moved.__dict__["estimates"] = tuple(replace(each, proof=None) for each in whole.estimates)
     settings = Settings("estimate", output=tmp_path / "out", as_json=True, quiet=True)
     tally = estimate_rows.followed(settings, estimator(), record, EstimateOptions(radii), "words", BOUNDS)
     printed = capsys.readouterr().out

@@ -235,11 +235,11 @@ def test_the_problem_as_written_is_the_one_that_is_solved(name, options):
         problem = mhe.problem(node.t)
         assert problem.is_dpp()
         value = problem.solve(solver="CLARABEL", **dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), asked))
-        assert node.estimate.status == "ok"
-        assert value == pytest.approx(node.estimate.cost, rel=same)
+        assert node.status == "ok"
+        assert value == pytest.approx(node.cost, rel=same)
         last = max((key for key in problem.var_dict if key[0] == "x"), key=lambda key: int(key[1:]))
-        deviation = np.sqrt(np.diag(node.estimate.covariance))
-        assert np.max(np.abs(problem.var_dict[last].value - node.estimate.x) / deviation) < np.sqrt(same)
+        deviation = np.sqrt(np.diag(node.Y))
+        assert np.max(np.abs(problem.var_dict[last].value - node.x) / deviation) < np.sqrt(same)
     assert len(nodes) > 1
 
 
@@ -257,7 +257,7 @@ def test_the_parameters_of_the_problem_are_the_data():
     problem = mhe.problem()
     problem.param_dict["y3"].value = [-0.4]
     assert problem.solve(solver="CLARABEL") == pytest.approx(other.problem().solve(solver="CLARABEL"), rel=1e-7)
-    assert problem.value == pytest.approx(other.state.last.estimate.cost, rel=1e-7)
+    assert problem.value == pytest.approx(other.state.last.cost, rel=1e-7)
     mhe.update(6.0, [0.1])
     for t in (2.4, 3.0, 0.0, 7.0):
         with pytest.raises(ArgumentError, match="`t` must be the time of a sample of the last horizon"):

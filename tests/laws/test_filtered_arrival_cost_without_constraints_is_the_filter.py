@@ -57,7 +57,7 @@ def test_smoother_is_the_endless_window_and_its_last_estimate_the_filters():
     assert np.max(np.abs(smoothed.x[-1] - filtered.x[-1])) < 1e-10
     mhe = MovingHorizonEstimator(PLANT, horizon=1e3, cost=CostFunction(eta=0.2), **BOUNDS)
     kept, solve = [], mhe._solve
-    mhe._slid_window = lambda *_: None  # the whole window is wanted
+    mhe._slid_window = lambda *_: (None, None)  # the whole window is wanted
     mhe._solve = lambda window: kept.append(solve(window)) or kept[-1]
     mhe.run(rows)
     assert np.max(np.abs(smoothed.x - kept[-1].nodes[1:])) < 1e-9

@@ -16,8 +16,8 @@ def resolved(mhe, t):
     """Solve the window problem from the last window's start to t, where nothing is measured."""
     start = mhe._start(mhe.state, mhe.state.last.t)
     nothing = np.zeros(PLANT.n_outputs)
-    gap = mhe.loop.between(mhe.state, mhe.state.last.t, t)
-    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, *gap))
+    flow, drift = mhe.loop.between(mhe.state, mhe.state.last.t, t)
+    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, drift, None, flow))
     return window, mhe._solve(window)
 
 
@@ -41,7 +41,7 @@ def test_estimate_is_the_open_loop_from_the_last_solve_and_the_past_stays(cost, 
             assert np.max(np.abs(again.nodes[-1] - predicted.x)) < 1e-9
             assert np.max(np.abs(again.nodes[0] - at_sample.nodes[0])) < 1e-7
             assert np.max(np.abs(again.covariance - predicted.covariance)) < 1e-9 * np.max(predicted.covariance)
-            assert again.cost == pytest.approx(mhe.state.last.estimate.cost * np.exp(-0.4 * delta), rel=1e-9)
+            assert again.cost == pytest.approx(mhe.state.last.cost * np.exp(-0.4 * delta), rel=1e-9)
             drift = mhe.state.drift(mhe.table, t, t + delta)
             omega = again.nodes[-1] - PLANT.transition(delta) @ again.nodes[-2] - drift
             assert np.max(np.abs(omega)) < 1e-9

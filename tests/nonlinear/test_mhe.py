@@ -120,7 +120,7 @@ def test_estimates_are_like_those_of_the_linear_estimators():
     found = scheme.run(record(), progress=(seen := []).append and (lambda fraction, note: seen.append(fraction)))
     assert isinstance(found, EstimateRecord)
     assert seen[-1] == 1.0
-    latest = scheme.state.last.estimate
+    latest = scheme.predict(scheme.state.last.t)
     assert not latest.certified
     assert latest.note == NOTE
     assert np.all(np.isinf(latest.radii))
@@ -183,7 +183,7 @@ def test_a_late_sample_gives_the_result_of_samples_in_order():
     for item in [*data[:2], *data[3:], data[2]]:
         late.update(*item)
     in_order = estimator().run(data)
-    assert late.state.last.estimate.x == pytest.approx(in_order.x[-1], abs=1e-7)
+    assert late.state.last.x == pytest.approx(in_order.x[-1], abs=1e-7)
 
 
 def test_reset_forgets_everything():

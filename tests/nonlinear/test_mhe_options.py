@@ -128,7 +128,7 @@ def test_the_smoothed_window_is_in_units_and_knows_the_samples_after():
     window = scheme.smoothed()
     assert window.times[0] == pytest.approx(1.5)
     assert window.x[-1] == pytest.approx(scheme.state.last.x)
-    np.testing.assert_allclose(window.covariance[-1], scheme.state.last.estimate.covariance, rtol=1e-9)
+    np.testing.assert_allclose(window.covariance[-1], scheme.predict(scheme.state.last.t).covariance, rtol=1e-9)
     assert np.isfinite(window.residuals[:, 0]).sum() == 4
     assert window.outputs[:, 0] == pytest.approx(window.x[:, 0])
     # a Gaussian posterior by brute force: all states at the edges, w with its intensity on each piece

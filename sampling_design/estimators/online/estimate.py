@@ -313,22 +313,17 @@ class Estimate(PlainRecord):
         return least if least != above(self.radii) else ""
 
 
-def estimate_of(entries: dict[str, object]) -> Estimate:
-    """Return the estimate of entries that are right as they are and its own; those not given have their defaults."""
+def estimate_of(entries: dict[str, object], proof: ProvesIntervals | None = None) -> Estimate:
+    """Return the estimate of entries that are right as they are and its own; those not given have their defaults.
+
+    `proof` is what its interval is proven from.
+    """
+    if proof is not None:
+        entries["proof"] = proof
+        _disprove(entries, proof)
     found = object.__new__(Estimate)
     object.__setattr__(found, "__dict__", entries)  # what is missing is the class's own
     return found
-
-
-def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
-    """Return an estimate with what its interval is proven from."""
-    entries = {**estimate.__dict__, "proof": proof}
-    if "radii" in entries or "_of_states" in entries:
-        for kept in ("radii", "_of_states"):
-            entries.pop(kept, None)
-    if proof is not None:
-        _disprove(entries, proof)
-    return estimate_of(entries)
 
 
 def _disprove(entries: dict[str, object], proof: ProvesIntervals) -> None:

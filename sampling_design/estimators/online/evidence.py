@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
 
 import numpy as np
 
@@ -14,14 +13,12 @@ from sampling_design.accuracy.interval import Interval, prove
 from sampling_design.accuracy.readings import Readings, RowReading, censored_rows
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction
-from sampling_design.estimators.online.history import HistoryNode, InputHistory, KnownSample
+from sampling_design.estimators.online.history import HistoryNode, InputHistory
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.numerics.filtering import correlation_root
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, requested_rows
 from sampling_design.records.arrays import Array
-
-_known = attrgetter("known")
 
 SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds
 FACTOR_WITHIN = 1e-3  # share within which the factor is found by which the noise of a sample would have to be larger
@@ -78,18 +75,14 @@ def output_of(found: Disproof, k: int) -> int:
 class EstimateEvidence:
     """The last samples behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
 
-    __slots__ = ("assumed", "box", "inputs", "radius_known", "samples")
+    __slots__ = ("assumed", "inputs", "radius_known", "samples")
 
     def __init__(self, assumed: EstimateAssumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
-        self.assumed, self.inputs, self.radius_known = assumed, inputs, known
-        self.samples: tuple[KnownSample, ...] = tuple(map(_known, nodes))  # those of a linear plant's nodes
-        self.box = nodes[0].box
+        self.assumed, self.samples, self.inputs, self.radius_known = assumed, nodes, inputs, known
 
     def rests_on(self, nodes: tuple[HistoryNode, ...], inputs: InputHistory) -> bool:
         """Whether it is what these nodes and inputs prove."""
-        first, last = self.samples[0], self.samples[-1]
-        same = first is nodes[0].known and last is nodes[-1].known and self.box is nodes[0].box
-        return same and inputs is self.inputs
+        return self.samples[0] is nodes[0] and self.samples[-1] is nodes[-1] and inputs is self.inputs
 
     @property
     def _program(self) -> RecordProgram:
@@ -181,8 +174,8 @@ class EstimateEvidence:
             Y = first.beta * first.Y if known else np.zeros_like(first.Y)
             root = correlation_root(Y, len(Y) * np.finfo(float).eps) if known else Y
             start = BoundedSet(first.x, root, ball=known, unbounded=not known)
-        if start.unbounded and self.box is not None:
-            start = self.box.within
+        if start.unbounded and first.box is not None:
+            start = first.box.within
         rows: dict[float, tuple[RowReading, ...]] = {}
         for sample in self.samples:
             rows[sample.t] = (*rows.get(sample.t, ()), *self._rows(sample), *self.assumed.state)
@@ -190,16 +183,16 @@ class EstimateEvidence:
             rows[until] = self.assumed.state
         return self.assumed.unread(first.t, self.inputs, start).reading(sorted(rows.items()))
 
-    def _rows(self, sample: KnownSample) -> tuple[RowReading, ...]:
+    def _rows(self, node: HistoryNode) -> tuple[RowReading, ...]:
         C, noise, sizes = self.assumed.plant.C, self.assumed.noise, self.assumed.noise.half_widths
-        y = sample.y - sample.feedthrough - noise.centre
-        rows = [RowReading(C[i], float(y[i]), float(sizes[i]), output=int(i)) for i in np.flatnonzero(sample.mask)]
+        y = node.y - node.feedthrough - noise.centre
+        rows = [RowReading(C[i], float(y[i]), float(sizes[i]), output=int(i)) for i in np.flatnonzero(node.mask)]
         first = self.samples[0].t
-        for each in sample.censored:
+        for each in node.sample.censored:
             if each.since is None or each.since >= first:
                 size, centre = float(sizes[each.output]), float(noise.centre[each.output])
-                direct = float(sample.feedthrough[each.output])
-                rows += censored_rows(self.assumed.plant, sample.t, each, size, centre, tuple(self.inputs), direct)
+                direct = float(node.feedthrough[each.output])
+                rows += censored_rows(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs), direct)
         return tuple(rows)
 
 

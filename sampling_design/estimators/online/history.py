@@ -11,9 +11,9 @@ from typing import NamedTuple, overload
 import numpy as np
 
 from sampling_design.accuracy.bounds import BoundedSet
-from sampling_design.accuracy.readings import CensoredReading, RecordRow
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.estimate import Contradiction, Estimate
+from sampling_design.estimators.online.estimate import Contradiction, Status
 from sampling_design.records.arrays import Array
 
 _time = attrgetter("t")
@@ -75,40 +75,10 @@ class StateBox(NamedTuple):
     until: float
 
 
-class KnownSample(NamedTuple):
-    """What intervals ask of a node: estimates keep these as long as they are kept, and neither gaps nor each other.
-
-    `own` is what the node's window proved to contradict the bounds, `branch` knows what intervals have.
-    """
-
-    t: float
-    number: int
-    censored: tuple[CensoredReading, ...]
-    y: Array
-    mask: Array
-    feedthrough: Array
-    x: Array
-    Y: Array
-    beta: float
-    sound: bool
-    own: Contradiction | None
-    branch: SampleBranch
-
-    @property
-    def contradiction(self) -> Contradiction | None:
-        """What contradicts the bounds up to here, whichever proof said so."""
-        return self.branch.contradiction(self.number) if self.own is None else self.own
-
-    @property
-    def stands(self) -> bool:
-        """Whether nothing is known to contradict what is assumed."""
-        return self.sound and self.branch.contradiction(self.number) is None
-
-
 class IncomingNode(NamedTuple):
     """A sample on its way in, as the equations take it: y with 0 where it is missing, the mask of 0 and 1, and D u.
 
-    `flow` and `drift` lead here from the node before; `limits` (2, p) are what C x lies between.
+    `flow` leads here from the node before, `drift` is what inputs add; `limits` (2, p) are what C x lies between.
     """
 
     t: float
@@ -116,21 +86,23 @@ class IncomingNode(NamedTuple):
     y: Array
     mask: Array
     feedthrough: Array
-    flow: GapFlow
     drift: Array
-    limits: Array | None = None
+    limits: Array | None
+    flow: GapFlow
 
 
 class HistoryNode(NamedTuple):
-    """A processed sample: a snapshot from which everything later can be computed again.
+    """A processed sample: a snapshot from which everything later can be computed again, and what its estimate says.
 
-    It begins as the `IncomingNode` that it was. `flow` and `drift` lead from the node before to this one; `scheduled`
-    says that everything up to here was on schedule, `sound` that no assumption was contradicted up to here; `y` is 0
-    where `mask` is 0; `number` counts the samples, 0 is the prior; `counted` is when a sample last counted for the
-    proof of a nonlinear estimator, `limited` when one last had limits or means; `held` is the square of x in units of
-    what is known of it, with what is left of those before, for the rounding of what follows; `loose` is how far the
-    gaps' information may be off; `known` is what intervals ask of it, of a linear plant; `box` holds the state where
-    nothing else does, by readings of uncertain times that came later; its own rest on samples `until` then.
+    It begins as the `IncomingNode` that it was. Estimates keep the nodes that prove their intervals as long as they are
+    kept themselves: a node holds neither its gap's flow, which the table knows, nor an estimate. `scheduled` says that
+    everything up to here was on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask`
+    is 0; `own` is what the node's window proved to contradict the bounds, `branch` knows what intervals have; `number`
+    counts the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
+    `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
+    left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off; `box`
+    holds the state where nothing else does, by readings of uncertain times that came later; its own rest on samples
+    `until` then.
     """
 
     t: float
@@ -138,7 +110,6 @@ class HistoryNode(NamedTuple):
     y: Array
     mask: Array
     feedthrough: Array
-    flow: GapFlow | None
     drift: Array
     limits: Array | None
     x: Array
@@ -146,12 +117,17 @@ class HistoryNode(NamedTuple):
     beta: float
     scheduled: bool
     sound: bool
-    estimate: Estimate
+    branch: SampleBranch
+    status: Status
+    note: str = ""
+    engine: str = ""
+    window_start: float = np.nan
+    cost: float = np.nan
+    own: Contradiction | None = None
     number: int = 0
     held: float = 0.0
     loose: float = 0.0
     limited: float = -np.inf
-    known: KnownSample | None = None
     counted: float = np.nan
     box: StateBox | None = None
     until: float = -np.inf
@@ -174,12 +150,12 @@ class HistoryNode(NamedTuple):
     @property
     def contradiction(self) -> Contradiction | None:
         """What contradicts the bounds up to here, whichever proof said so."""
-        return None if self.known is None else self.known.contradiction
+        return self.branch.contradiction(self.number) if self.own is None else self.own
 
     @property
     def stands(self) -> bool:
         """Whether nothing is known to contradict what is assumed."""
-        return self.sound if self.known is None else self.known.stands
+        return self.sound and self.branch.contradiction(self.number) is None
 
 
 class WindowStart(NamedTuple):

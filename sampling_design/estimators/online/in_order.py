@@ -140,9 +140,9 @@ class OnlineEstimator(Displayable, ABC):
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
 
+    @abstractmethod
     def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
         """Return the estimate of a node as a caller gets it."""
-        return state.nodes[node].estimate
 
     def _after_input(self, state: EstimatorState, t: float) -> EstimatorState:
         """Return the state after an input at t, ahead of all nodes, with what makes the next one cheap."""
@@ -180,13 +180,8 @@ class OnlineEstimator(Displayable, ABC):
             node = node._replace(until=replayed.last.until) if replayed.last.until >= node.t else node
             replayed = EstimatorState((*replayed.nodes, node), state.inputs)
         replayed = self._settled(replayed).trimmed(self.memory, self.remembered)
-        old, new = state.last.known, replayed.last.known
-        if (
-            not (taken or forced)
-            and old is not None
-            and new is not None
-            and (proven := old.branch.contradiction(old.number)) is not None
-        ):
+        old, new = state.last, replayed.last
+        if not (taken or forced) and (proven := old.branch.contradiction(old.number)) is not None:
             new.branch.record(new.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 

@@ -8,15 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.readings import RecordRow
-from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of, with_proof
+from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of
 from sampling_design.estimators.online.evidence import REMEMBERED, EstimateAssumptions, EstimateEvidence
-from sampling_design.estimators.online.history import (
-    EstimatorState,
-    HistoryNode,
-    IncomingNode,
-    KnownSample,
-    SampleBranch,
-)
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
@@ -63,15 +57,9 @@ class Recorder:
         """Return the first node, before any sample: x at t with the weight P2."""
         root, energy = self.loop.weights.prior_root, self.bounds.prior * (1 + self.loop.weights.loose)
         Y, zero, scheduled = freeze(root @ root.T), np.zeros(self.loop.weights.plant.n_outputs), self.claim.stands
-        estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
-        known = KnownSample(
-            t=t, number=0, censored=(), y=zero, mask=zero, feedthrough=zero, x=x, Y=Y, beta=energy, sound=True,
-            own=None, branch=SampleBranch(),
-        )  # fmt: skip
         return HistoryNode(
-            t=t, sample=RecordRow(t), y=zero, mask=zero, feedthrough=zero, flow=None, drift=np.zeros(x.size),
-            limits=None, x=x, Y=Y, beta=energy, scheduled=scheduled, sound=True, estimate=estimate,
-            known=known,
+            t=t, sample=RecordRow(t), y=zero, mask=zero, feedthrough=zero, drift=np.zeros(x.size), limits=None,
+            x=x, Y=Y, beta=energy, scheduled=scheduled, sound=True, branch=SampleBranch(), status="prior",
         )  # fmt: skip
 
     def estimate(
@@ -89,8 +77,8 @@ class Recorder:
         engine: str = "",
         window_start: float = np.nan,
         cost: float = np.nan,
-    ) -> Estimate:
-        """Return an estimate with its two flags and, in words, why one is down."""
+    ) -> dict[str, object]:
+        """Return the entries of an estimate, with its two flags and, in words, why one is down."""
         if not sound:
             beta = np.nan
         unbounded = self.bounds.note
@@ -104,38 +92,37 @@ class Recorder:
             note = f"{note} No radius: {broken if not sound else 'it overflows.'}"
         if not scheduled:
             note = f"{note} {self.claim.note or OFF_SCHEDULE}"
-        return estimate_of({
+        return {
             "t": t, "x": x, "covariance": Y, "radius": beta, "status": status, "certified": certified,
             "on_schedule": scheduled, "note": note.strip(), "contradiction": contradiction, "engine": engine,
             "window_start": window_start, "cost": cost,
-        })  # fmt: skip
+        }  # fmt: skip
 
     def node(
         self, state: EstimatorState, new: IncomingNode, solved: SolvedSample, start: float, scheduled: bool = False
     ) -> HistoryNode:
-        """Return the node of a sample, whose window began at `start`, with its estimate; rounding widens the radius."""
+        """Return the node of a sample, whose window began at `start`; rounding widens the radius."""
         last, flow, drift, (x, Y, verdict, engine, note, cost, precision) = state.nodes[-1], new.flow, new.drift, solved
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
         beta, status, sound, contradiction = verdict
         loose = max(last.loose, flow.loose)
         wider, beta, size = represented(Y, led, beta * (1 + loose), precision)
         Y = Y if wider is Y else freeze(wider)
-        estimate = self.estimate(
-            new.t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note,
-            engine=engine, window_start=start, cost=cost,
-        )  # fmt: skip
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
-        assert last.known is not None  # as of every linear plant
-        number = last.number + 1
-        known = KnownSample(
-            t=new.t, number=number, censored=new.sample.censored, y=new.y, mask=new.mask, feedthrough=new.feedthrough,
-            x=x, Y=Y, beta=beta, sound=sound, own=contradiction, branch=last.known.branch.after(last.number),
-        )  # fmt: skip
         return HistoryNode(
-            *new, x, Y, beta, scheduled, sound, estimate,
-            number=number, held=size, loose=loose, limited=limited, known=known,
+            *new[:-1], x, Y, beta, scheduled, sound, last.branch.after(last.number), status, note, engine, start, cost,
+            own=contradiction, number=last.number + 1, held=size, loose=loose, limited=limited,
         )  # fmt: skip
+
+    def of_node(self, state: EstimatorState, at: int) -> Estimate:
+        """Return the estimate of the node with the number `at`."""
+        node = state.nodes[at]
+        found = self.estimate(
+            node.t, node.x, node.Y, node.beta, node.status, sound=node.sound, scheduled=node.scheduled,
+            contradiction=node.own, note=node.note, engine=node.engine, window_start=node.window_start, cost=node.cost,
+        )  # fmt: skip
+        return self.proven(state, at, found)
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
         """Return the estimate at t, open loop from the node with the number `at`."""
@@ -146,20 +133,21 @@ class Recorder:
         loop.refuse_overflow(flow, t, x, Y)
         Y, beta, _ = represented(Y, passed(node, flow, drift, x), beta * (1 + loop.weights.loose))
         scheduled = node.scheduled and self.claim.nothing_missed(state.nodes[: at + 1], t)
-        return self.estimate(
+        found = self.estimate(
             t, freeze(x), freeze(Y), beta, "predicted", sound=node.stands, scheduled=scheduled,
             contradiction=node.contradiction,
         )  # fmt: skip
+        return self.proven(state, at, found)
 
-    def proven(self, state: EstimatorState, at: int, estimate: Estimate) -> Estimate:
+    def proven(self, state: EstimatorState, at: int, entries: dict[str, object]) -> Estimate:
         """Return an estimate made from the nodes up to one of them, with the evidence for its interval, or centred."""
         if self.assumed is None:
-            return estimate
+            return estimate_of(entries)
         nodes = state.nodes[max(at - REMEMBERED, 0) : at + 1]  # each estimate would hold a copy of all that are kept
         evidence = self._evidence
         if evidence is None or not evidence.rests_on(nodes, state.inputs):
             evidence = self._evidence = EstimateEvidence(self.assumed, nodes, state.inputs, not self.bounds.note)
-        found = with_proof(estimate, evidence)
+        found = estimate_of(entries, evidence)
         if not self.centred or found.status == "prior":
             return found
         middle = found.centred()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -126,6 +127,7 @@ class SlidingBand:
         self._C, self._held = weights.plant.C, np.sqrt(n * weights.prior.diagonal())
         self.nodes: list[HistoryNode] = []
         self._known: list[IncomingNode | HistoryNode] = []
+        self._flows: list[GapFlow | None] = []  # of the gap before a node
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
@@ -171,26 +173,29 @@ class SlidingBand:
         self._latest = mask, found
         return found
 
-    def append(self, new: IncomingNode | HistoryNode, reference: Array, predicted: bool = False) -> bool:
+    def append(
+        self, new: IncomingNode | HistoryNode, flow: GapFlow | None, reference: Array, predicted: bool = False
+    ) -> bool:
         """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed.
 
-        `predicted`: the reference is where the gap leads from the estimate of the node before. If that is the node's
-        reference, the gap costs nothing.
+        `flow` is that of the gap before it. `predicted`: the reference is where that gap leads from the estimate of the
+        node before. If that is the node's reference, the gap costs nothing.
         """
         k = len(self._known)
         if k == len(self._own):
             grown = [np.concatenate([part, np.zeros_like(part)]) for part in self._parts]
             self._own, self._before, self._pull, self._pull_before, self._sums, self._measured, self._roots = grown
             self._ones = np.ones(2 * k)
-        kind, flow = self.output_information(new.mask), new.flow
+        kind = self.output_information(new.mask)
         if not k:
             self._zero = new.t
         elif flow is None or not flow.weighed():
             return False
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
-        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._outputs[-1] else 1
+        self._alike = self._alike + 1 if k and flow is self._flows[-1] and kind is self._outputs[-1] else 1
         self._known.append(new)
+        self._flows.append(flow)
         self._outputs.append(kind)
         self._reference.append(reference)
         self._missed.append(None)
@@ -225,7 +230,7 @@ class SlidingBand:
 
     def _led(self, k: int, off: Array, end: slice) -> None:
         """Put down what the gap before a node costs with states at one `end` of it so far off, and how it pulls."""
-        flow, n = self._known[k].flow, self._n
+        flow, n = self._flows[k], self._n
         joint = None if flow is None else flow.joint
         assert joint is not None  # or the node was not taken in
         g, pull = off.dot(joint[end]), self._pull[k - 1]
@@ -235,7 +240,7 @@ class SlidingBand:
 
     def _missing(self, k: int) -> Array | None:
         """By how much the gap before a node leads elsewhere than to its reference; None without a gap."""
-        flow, found = self._known[k].flow, self._missed[k]
+        flow, found = self._flows[k], self._missed[k]
         if found is None and k and flow is not None:
             last, estimated = self._reference[k - 1], self._leading[k]
             if estimated is None:
@@ -258,7 +263,7 @@ class SlidingBand:
             self._weigh(first - 1)
         self._untouched = False
         for k, (x, before) in enumerate(zip(states, missed, strict=True), first):
-            flow, away = self._known[k].flow, x - self._reference[k]
+            flow, away = self._flows[k], x - self._reference[k]
             self._reference[k], self._leading[k] = x, None
             self._weigh(k)
             if before is not None and flow is not None:
@@ -281,7 +286,7 @@ class SlidingBand:
             part[:kept] = part[count : count + kept].copy()
             part[kept:] = 0.0
         self._banded, self._listed = max(self._banded - count, 0), max(self._listed - count, 0)
-        histories = self.nodes, self._known, self._reference, self._outputs, self._missed, self._leading
+        histories = self.nodes, self._known, self._flows, self._reference, self._outputs, self._missed, self._leading
         for held in histories:
             del held[:count]
 
@@ -289,7 +294,7 @@ class SlidingBand:
         """The columns of the nodes from number `first` on, where a prior arrives: what each costs, and both gaps."""
         own, before, count = self._own, self._before, len(self._known)
         for k in range(self._banded, count):
-            flow = self._known[k].flow
+            flow = self._flows[k]
             own[k] = self._outputs[k].band
             if k and flow is not None:
                 gap, column = flow.band, own[k - 1]
@@ -357,7 +362,7 @@ class SlidingBand:
             gains = _factored(self._matrix(first, band))
             if gains is None:
                 return None
-            came = count - first, known[-1].flow, self._outputs[-1], flow, Y, gains
+            came = count - first, self._flows[-1], self._outputs[-1], flow, Y, gains
             self._gains = came if self._alike >= count - first else None
         left, gain = gains.applied(right, whole)
         if not math.isfinite(gain + cost):
@@ -391,7 +396,7 @@ class SlidingBand:
         away = np.concatenate([begun[None], deviation])
         missed = enumerate(self._missed[first + 1 :], first + 1)
         defect = np.array([moved, *[self._missing(k) if each is None else each for k, each in missed]])
-        flows = [flow, *(new.flow for new in self._known[first + 1 :] if new.flow is not None)]
+        flows = [flow, *(each for each in self._flows[first + 1 :] if each is not None)]
         return OptimalTrajectory(places + away, away, defect, flows)
 
     def samples(self, first: int, initial: HistoryNode | None) -> tuple[Array, Array, Array]:
@@ -412,7 +417,7 @@ class SlidingBand:
         if self._gains is None or self._alike < count:
             return None
         so_many, newest, kind, arriving, prior, gains = self._gains
-        same = so_many == count and newest is self._known[-1].flow and kind is self._outputs[-1]
+        same = so_many == count and newest is self._flows[-1] and kind is self._outputs[-1]
         return gains if same and arriving is flow and prior is Y else None
 
     def _opened(
@@ -455,9 +460,10 @@ class BandCache:
                     band.forget(at)
                     at = 0
                 return band, at
-        band = SlidingBand(self._table, self._energy)
-        for node in nodes[first:]:
-            if not band.append(node, node.x):
+        band, inside = SlidingBand(self._table, self._energy), nodes[first:]
+        flows = self._table.get([after.t - before.t for before, after in pairwise(inside)])
+        for node, flow in zip(inside, (None, *flows), strict=True):
+            if not band.append(node, flow, node.x):
                 return None
             band.nodes.append(node)
         return band, 0

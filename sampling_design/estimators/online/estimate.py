@@ -328,8 +328,7 @@ def estimate_of(entries: dict[str, object], proof: ProvesIntervals | None = None
 
 def _disprove(entries: dict[str, object], proof: ProvesIntervals) -> None:
     """Take back what the entries of an estimate promise, if its samples are known to contradict the bounds."""
-    contradiction = proof.contradiction
-    if contradiction is None or entries.get("contradiction") is not None:
+    if entries.get("contradiction") is not None or (contradiction := proof.contradiction) is None:
         return
     note = f"{contradiction.sentence()} {entries.get('note', '')}".strip()
     entries.update(radius=np.nan, certified=False, contradiction=contradiction, note=note)

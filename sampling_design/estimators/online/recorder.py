@@ -111,8 +111,9 @@ class Recorder:
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         return HistoryNode(
-            *new[:-1], x, Y, beta, scheduled, sound, last.branch.after(last.number), status, note, engine, start, cost,
-            own=contradiction, number=last.number + 1, held=size, loose=loose, limited=limited,
+            *new[:-1], x, Y, beta, scheduled, sound, last.branch.after(last.number), status, note=note, engine=engine,
+            window_start=start, cost=cost, own=contradiction, number=last.number + 1, held=size, loose=loose,
+            limited=limited,
         )  # fmt: skip
 
     def of_node(self, state: EstimatorState, at: int) -> Estimate:

@@ -128,7 +128,7 @@ class WindowedEstimator(OnlineEstimator):
             y, mask = np.where(measured, y, 0.0), measured.astype(np.float64)
         flow, drift = self.loop.between(state, state.nodes[-1].t, sample.t)
         feedthrough = self._nothing if u is None else self.plant.D @ u
-        return IncomingNode(sample.t, sample, y, mask, feedthrough, drift, None, flow)
+        return IncomingNode(sample.t, sample, y, mask, feedthrough, flow, drift)
 
     def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
         return self.recorder.of_node(state, node)

@@ -275,13 +275,15 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         solution = answer.solution
         took = sample.t, solution.status, solution.iterations, solution.seconds
         self.solves.append(SolverRun(*took, data.edges.size - 1, answer.attempts, self.search.degree, answer.error))
-        details = {"window_start": float(data.edges[0]), "engine": solution.engine}
+        begun, engine = float(data.edges[0]), solution.engine
         if solution.status != "ok" or answer.covariances is None:
             x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t, state.last.counted)
             note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {noted}".strip()
             if counts(taken, counted) and self.error_bound is not None:
                 counted = state.last.counted  # nothing was learned from it
-            return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
+            return self.loop.node(
+                taken, x, solution.status, Y, square, counted, note, scheduled, window_start=begun, engine=engine
+            )
         self._latest = data, answer
         x = solution.last * self._scale
         Y = answer.covariances.last * self._scale * self._scale[:, None]
@@ -293,7 +295,9 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             )
         square = self._bound(data, answer, start, counts(taken, counted))
         note = " ".join(filter(None, (*words, noted)))
-        return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
+        return self.loop.node(
+            taken, x, "ok", Y, square, counted, note, scheduled, window_start=begun, engine=engine, cost=solution.cost
+        )
 
     def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:
         """When the last sample that the proof takes was, this one included; whether gaps and inputs are certified."""

@@ -178,16 +178,19 @@ class NonlinearLoop:
         counted: float,
         note: str = "",
         scheduled: bool = True,
-        **details: Any,
+        *,
+        window_start: float = np.nan,
+        engine: str = "",
+        cost: float = np.nan,
     ) -> HistoryNode:
         """Return a snapshot with the linearised covariance Y and the bound on V; what is linear only is empty."""
         y = np.zeros(self.plant.n_outputs) if sample.y is None else np.nan_to_num(sample.y)
         mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
         nothing = np.zeros(0)
         return HistoryNode(
-            t=sample.t, sample=sample, y=y, mask=mask, feedthrough=nothing, drift=nothing, limits=None, x=freeze(x),
-            Y=freeze(Y), beta=square, scheduled=scheduled, sound=True, branch=SampleBranch(), status=status, note=note,
-            counted=counted, **details,
+            t=sample.t, sample=sample, y=y, mask=mask, feedthrough=nothing, drift=nothing, limits=None, engine=engine,
+            note=note, cost=cost, status=status, sound=True, own=None, x=freeze(x), Y=freeze(Y), beta=square,
+            scheduled=scheduled, branch=SampleBranch(), window_start=window_start, counted=counted,
         )  # fmt: skip
 
     def of_node(self, node: HistoryNode) -> Estimate:

@@ -16,8 +16,8 @@ def resolved(mhe, t):
     """Solve the window problem from the last window's start to t, where nothing is measured."""
     start = mhe._start(mhe.state, mhe.state.last.t)
     nothing = np.zeros(PLANT.n_outputs)
-    flow, drift = mhe.loop.between(mhe.state, mhe.state.last.t, t)
-    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, drift, None, flow))
+    gap = mhe.loop.between(mhe.state, mhe.state.last.t, t)
+    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, *gap))
     return window, mhe._solve(window)
 
 

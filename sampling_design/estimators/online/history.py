@@ -78,7 +78,7 @@ class StateBox(NamedTuple):
 class IncomingNode(NamedTuple):
     """A sample on its way in, as the equations take it: y with 0 where it is missing, the mask of 0 and 1, and D u.
 
-    `flow` leads here from the node before, `drift` is what inputs add; `limits` (2, p) are what C x lies between.
+    `flow` and `drift` lead here from the node before; `limits` (2, p) are what C x lies between.
     """
 
     t: float
@@ -86,23 +86,23 @@ class IncomingNode(NamedTuple):
     y: Array
     mask: Array
     feedthrough: Array
-    drift: Array
-    limits: Array | None
     flow: GapFlow
+    drift: Array
+    limits: Array | None = None
 
 
 class HistoryNode(NamedTuple):
     """A processed sample: a snapshot from which everything later can be computed again, and what its estimate says.
 
-    It begins as the `IncomingNode` that it was. Estimates keep the nodes that prove their intervals as long as they are
-    kept themselves: a node holds neither its gap's flow, which the table knows, nor an estimate. `scheduled` says that
-    everything up to here was on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask`
-    is 0; `own` is what the node's window proved to contradict the bounds, `branch` knows what intervals have; `number`
-    counts the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
-    `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
-    left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off; `box`
-    holds the state where nothing else does, by readings of uncertain times that came later; its own rest on samples
-    `until` then.
+    It begins as the `IncomingNode` that it was, and what a solve said of it. Estimates keep the nodes that prove their
+    intervals as long as they are kept themselves: a node holds neither its gap's flow, which the table knows, nor an
+    estimate. `y` is 0 where `mask` is 0; `sound` says that no assumption was contradicted up to here, `scheduled` that
+    everything was on schedule; `own` is what the node's window proved to contradict the bounds, `branch` knows what
+    intervals have; `number` counts the samples, 0 is the prior; `counted` is when a sample last counted for the proof
+    of a nonlinear estimator, `limited` when one last had limits or means; `held` is the square of x in units of what is
+    known of it, with what is left of those before, for the rounding of what follows; `loose` is how far the gaps'
+    information may be off; `box` holds the state where nothing else does, by readings of uncertain times that came
+    later; its own rest on samples `until` then.
     """
 
     t: float
@@ -110,20 +110,20 @@ class HistoryNode(NamedTuple):
     y: Array
     mask: Array
     feedthrough: Array
+    engine: str
+    note: str
+    cost: float
+    status: Status
+    sound: bool
+    own: Contradiction | None
     drift: Array
     limits: Array | None
     x: Array
     Y: Array
     beta: float
     scheduled: bool
-    sound: bool
     branch: SampleBranch
-    status: Status
-    note: str = ""
-    engine: str = ""
     window_start: float = np.nan
-    cost: float = np.nan
-    own: Contradiction | None = None
     number: int = 0
     held: float = 0.0
     loose: float = 0.0

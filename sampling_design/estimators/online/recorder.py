@@ -59,7 +59,8 @@ class Recorder:
         Y, zero, scheduled = freeze(root @ root.T), np.zeros(self.loop.weights.plant.n_outputs), self.claim.stands
         return HistoryNode(
             t=t, sample=RecordRow(t), y=zero, mask=zero, feedthrough=zero, drift=np.zeros(x.size), limits=None,
-            x=x, Y=Y, beta=energy, scheduled=scheduled, sound=True, branch=SampleBranch(), status="prior",
+            engine="", note="", cost=np.nan, status="prior", sound=True, own=None, x=x, Y=Y, beta=energy,
+            scheduled=scheduled, branch=SampleBranch(),
         )  # fmt: skip
 
     def estimate(
@@ -102,17 +103,16 @@ class Recorder:
         self, state: EstimatorState, new: IncomingNode, solved: SolvedSample, start: float, scheduled: bool = False
     ) -> HistoryNode:
         """Return the node of a sample, whose window began at `start`; rounding widens the radius."""
-        last, flow, drift, (x, Y, verdict, engine, note, cost, precision) = state.nodes[-1], new.flow, new.drift, solved
+        last, flow, drift, x, Y, verdict = state.nodes[-1], new.flow, new.drift, solved.x, solved.Y, solved.outcome
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
-        beta, status, sound, contradiction = verdict
         loose = max(last.loose, flow.loose)
-        wider, beta, size = represented(Y, led, beta * (1 + loose), precision)
+        wider, beta, size = represented(Y, led, verdict.beta * (1 + loose), solved.precision)
         Y = Y if wider is Y else freeze(wider)
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
-        return HistoryNode(
-            *new[:-1], x, Y, beta, scheduled, sound, last.branch.after(last.number), status, note=note, engine=engine,
-            window_start=start, cost=cost, own=contradiction, number=last.number + 1, held=size, loose=loose,
+        return HistoryNode(  # in between: engine, note and cost; status, whether it is sound, what contradicts
+            *new[:5], *solved[3:6], *verdict[1:], *new[6:], x, Y, beta, scheduled,
+            branch=last.branch.after(last.number), window_start=start, number=last.number + 1, held=size, loose=loose,
             limited=limited,
         )  # fmt: skip
 

@@ -137,6 +137,7 @@ class SlidingBand:
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
         # of so many nodes, and what they came with
         self._gains: tuple[int, GapFlow | None, OutputInformation, GapFlow, Array, WindowGains] | None = None
+        self._found: tuple[Array, Array] | None = None  # the newest node's optimum and its unknown there
         # what a sample at the start leaves of the last prior there, of the last outputs: Y, gain, and root of its cost
         self._absorbed: tuple[Array, OutputInformation, Array, Array, Array] | None = None
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
@@ -208,7 +209,9 @@ class SlidingBand:
         elif (last := self._reference[k - 1]) is estimated:
             self._untouched = True
         else:
-            self._led(k, (estimated - last).dot(self._roots.item(k - 1)), slice(None, self._n))
+            found = self._found
+            off = found[1] if found and found[0] is estimated else (estimated - last).dot(self._roots.item(k - 1))
+            self._led(k, off, slice(None, self._n))
         return True
 
     def _weigh(self, k: int) -> None:
@@ -277,7 +280,7 @@ class SlidingBand:
         for part in (self._pull, self._pull_before, self._roots):
             part *= factor
         self._sums[:, :3] *= factor * factor
-        self._zero = t
+        self._zero, self._found = t, None
 
     def forget(self, count: int) -> None:
         """Drop the oldest nodes."""
@@ -378,6 +381,7 @@ class SlidingBand:
             return self.solve(first, start, prior, initial, gap, whole, gains)
         if not whole:
             newest, path = self._reference[-1] + left.dot(1 / root), None
+            self._found = newest, left
         else:
             path = self._path(first, x, Y, moved, left.reshape(-1, n) / self._roots[rows, None], flow)
             newest = path.nodes[-1]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.accuracy.readings import RecordRow
-from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, changed, estimate_of
+from sampling_design.estimators.online.estimate import Estimate, changed, estimate_of
 from sampling_design.estimators.online.evidence import REMEMBERED, EstimateAssumptions, EstimateEvidence
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
@@ -63,40 +63,24 @@ class Recorder:
             scheduled=scheduled, branch=SampleBranch(),
         )  # fmt: skip
 
-    def estimate(
-        self,
-        t: float,
-        x: Array,
-        Y: Array,
-        beta: float,
-        status: Status,
-        *,
-        sound: bool,
-        scheduled: bool,
-        contradiction: Contradiction | None = None,
-        note: str = "",
-        engine: str = "",
-        window_start: float = np.nan,
-        cost: float = np.nan,
-    ) -> dict[str, object]:
-        """Return the entries of an estimate, with its two flags and, in words, why one is down."""
-        if not sound:
-            beta = np.nan
-        unbounded = self.bounds.note
-        certified = sound and not unbounded and math.isfinite(beta) and is_finite(Y)
-        if contradiction is not None:
-            note = f"{contradiction.sentence()} {note}".strip()
+    def estimate(self, node: HistoryNode) -> dict[str, object]:
+        """Return the entries of a node's estimate, with its two flags and, in words, why one is down."""
+        sound, note, unbounded = node.sound, node.note, self.bounds.note
+        beta = node.beta if sound else np.nan
+        certified = sound and not unbounded and math.isfinite(beta) and is_finite(node.Y)
+        if node.own is not None:
+            note = f"{node.own.sentence()} {note}".strip()
         elif unbounded:
             note = f"{note} {unbounded}"
         elif not certified:
             broken = "the data contradict the constraints. To start again: start(prior, prior_time)."
             note = f"{note} No radius: {broken if not sound else 'it overflows.'}"
-        if not scheduled:
+        if not node.scheduled:
             note = f"{note} {self.claim.note or OFF_SCHEDULE}"
         return {
-            "t": t, "x": x, "covariance": Y, "radius": beta, "status": status, "certified": certified,
-            "on_schedule": scheduled, "note": note.strip(), "contradiction": contradiction, "engine": engine,
-            "window_start": window_start, "cost": cost,
+            "t": node.t, "x": node.x, "covariance": node.Y, "radius": beta, "status": node.status,
+            "certified": certified, "on_schedule": node.scheduled, "note": note.strip(), "contradiction": node.own,
+            "engine": node.engine, "window_start": node.window_start, "cost": node.cost,
         }  # fmt: skip
 
     def node(
@@ -118,12 +102,7 @@ class Recorder:
 
     def of_node(self, state: EstimatorState, at: int) -> Estimate:
         """Return the estimate of the node with the number `at`."""
-        node = state.nodes[at]
-        found = self.estimate(
-            node.t, node.x, node.Y, node.beta, node.status, sound=node.sound, scheduled=node.scheduled,
-            contradiction=node.own, note=node.note, engine=node.engine, window_start=node.window_start, cost=node.cost,
-        )  # fmt: skip
-        return self.proven(state, at, found)
+        return self.proven(state, at, self.estimate(state.nodes[at]))
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
         """Return the estimate at t, open loop from the node with the number `at`."""
@@ -134,11 +113,11 @@ class Recorder:
         loop.refuse_overflow(flow, t, x, Y)
         Y, beta, _ = represented(Y, passed(node, flow, drift, x), beta * (1 + loop.weights.loose))
         scheduled = node.scheduled and self.claim.nothing_missed(state.nodes[: at + 1], t)
-        found = self.estimate(
-            t, freeze(x), freeze(Y), beta, "predicted", sound=node.stands, scheduled=scheduled,
-            contradiction=node.contradiction,
+        ahead = node._replace(
+            t=t, x=freeze(x), Y=freeze(Y), beta=beta, status="predicted", sound=node.stands, own=node.contradiction,
+            scheduled=scheduled, engine="", note="", cost=np.nan, window_start=np.nan,
         )  # fmt: skip
-        return self.proven(state, at, found)
+        return self.proven(state, at, self.estimate(ahead))
 
     def proven(self, state: EstimatorState, at: int, entries: dict[str, object]) -> Estimate:
         """Return an estimate made from the nodes up to one of them, with the evidence for its interval, or centred."""

@@ -264,8 +264,9 @@ class ScheduleClaim:
 
         A sample without a number, of limits and means alone, is none for the schedule: the claim is about numbers.
         """
-        if not state.last.scheduled or not self.watches:
-            return state.last.scheduled
+        scheduled = state.nodes[-1].scheduled
+        if not scheduled or not self.watches:
+            return scheduled
         if not mask.any():
             return self.nothing_missed(state.nodes, t)
         for i, watch in self.watches.items():

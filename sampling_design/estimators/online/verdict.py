@@ -52,7 +52,8 @@ def passed(node: HistoryNode, flow: GapFlow, drift: Array | None, x: Array) -> A
     led: Array = flow.size.dot(abs(node.x))
     if drift is not None:
         led += abs(drift)
-    return np.asarray(np.maximum(abs(x), led))
+    found: Array = np.maximum(abs(x), led)
+    return found
 
 
 class CovariancePrecision(NamedTuple):

@@ -352,9 +352,10 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
     slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
     is_path = any(typing.get_origin(kind) is os.PathLike for kind in _classes(hint))
+    is_number = any(take is _number for _, take in kinds)
 
     def check(value: object) -> object:
-        if value is default:
+        if value is default or (type(value) is float and is_number and value == value):
             return value
         if is_path and (is_text(value) or _path(value)):
             return of_file(name, value)  # type: ignore[arg-type]
@@ -476,8 +477,6 @@ def _truth(_: str, value: object) -> object:
 
 
 def _number(name: str, value: object) -> Any:
-    if type(value) is float and value == value:
-        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if is_flag(value) or not isinstance(value, numbers.Real):

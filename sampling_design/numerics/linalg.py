@@ -19,6 +19,7 @@ _REFINEMENTS = 20  # of a solve, at most: each brings what the condition number 
 _GRAMIAN_DEGREE = 16  # likewise, of its integral
 BITS = 40  # binary digits that a search keeps: far above rounding, far below what it can tell apart
 KEPT_ENTRIES = 4096  # numbers of the largest answer that is kept: all of them stay below 5 MB
+AT_ONCE = 1_000_000  # numbers of matrices of which only products with rows or sums are wanted
 _BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
 
 
@@ -107,7 +108,8 @@ def rows_ahead(C: Array, A: Array, times: Array) -> Array:
     """Return C e^{A t} (N, p, n) for many times t >= 0; short ones cost no exponential of their own."""
     norm = float(np.linalg.norm(A, 1))
     if norm * float(np.max(times, initial=0.0)) > _TAYLOR_RADIUS:
-        return np.asarray(C @ expm_batch(A, times))
+        parts = np.split(times, range(AT_ONCE // A.size + 1, times.size, AT_ONCE // A.size + 1))
+        return np.concatenate([C @ expm_batch(A, part) for part in parts])
     terms = C @ exponential_terms(A, norm or 1.0, _TAYLOR_DEGREE + 1)
     powers = np.vander(times * (norm or 1.0), _TAYLOR_DEGREE + 1, increasing=True)
     return np.asarray((powers @ terms.reshape(_TAYLOR_DEGREE + 1, -1)).reshape(-1, *C.shape))

@@ -85,6 +85,14 @@ def certified(states: int, samples: int, outputs: int, regular: bool = True, rat
     return lambda: sd.certify(of, at, eta=rate, budget=60)
 
 
+def designed(states: int, samples: int, outputs: int) -> Call:
+    """Of oscillators that no output sees decay."""
+    A = np.kron(np.diag(1.0 + 0.7 * np.arange(states // 2)), [[0.0, 1.0], [-1.0, 0.0]])
+    of = sd.Plant(A, plant(states, outputs).C)
+    asked = sd.Requirement(window=2 * np.pi, samples=samples, spacing=0.04 * np.pi)
+    return lambda: sd.design_schedule(of, asked)
+
+
 def audited(states: int, samples: int, outputs: int, regular: bool = True) -> Call:
     """What the standalone checker does with a certificate."""
     made_of = sd.certify(plant(states, outputs), schedule(samples, regular), eta=0.05, budget=60).to_dict()

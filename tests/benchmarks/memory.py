@@ -80,6 +80,7 @@ CALLS = {
     "file of an interval of 5,000 rows": 'VERBS["interval file"].ready(5_000)',
     "`certify` of 16 states, 40 samples": "certified(16, 40, 1, False, 0.05)",
     "`guaranteed_accuracy` of eight states, 20 samples": "accuracy(8, 20, 1, False)",
+    "`design_schedule` of 40 undamped states, 24 samples": "designed(40, 24, 2)",
     "`standard_deviation` of 10,000 samples": "deviation(2, 10_000, 1, False)",
     "`window_sigma` of 100,000 samples": 'VERBS["sigma of all"].ready(100_000)',
     "`window_sigma` of 200 states, 200 samples": "sigma(200, 200, 50)",

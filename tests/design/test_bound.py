@@ -452,3 +452,12 @@ def test_zones_of_many_states_are_bounded_as_by_a_general_solver(monkeypatch, si
     general = zone_part(case, zones, side)[0].value
     monkeypatch.setattr(relaxation, "MANY_STATES", 0)
     assert zone_part(case, zones, side)[0].value <= general * (1 + 1e-4)
+
+
+@pytest.mark.parametrize("given", [{}, {"late": 0.05}, {"window": 9.0}], ids=["exact", "late", "longer window"])
+def test_how_many_matrices_are_held_at_once_changes_no_bound(monkeypatch, given):
+    case = problem(**given)
+    starts, Z = multipliers(case, np.random.default_rng(8), 4)
+    whole = bound.placed_bound(case, starts, Z)
+    monkeypatch.setattr(bound, "AT_ONCE", 0)
+    assert bound.placed_bound(case, starts, Z) == pytest.approx(whole, rel=1e-12)

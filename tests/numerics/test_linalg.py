@@ -1,5 +1,6 @@
 """Small linear algebra against 50-digit arithmetic, adaptive quadrature and plain definitions."""
 
+import tracemalloc
 from fractions import Fraction
 from itertools import pairwise
 
@@ -45,6 +46,17 @@ def test_rows_ahead_are_those_of_the_exponential(longest):
         C, times = rng.normal(size=(2, 5)), longest / max(1.0, np.linalg.norm(A, 1)) * np.linspace(0, 1, 7)
         assert linalg.rows_ahead(C, A, times) == pytest.approx(C @ linalg.expm_batch(A, times), rel=1e-13, abs=1e-13)
     assert linalg.rows_ahead(C, A, np.zeros(0)).shape == (0, 2, 5)
+
+
+def test_rows_of_many_long_times_hold_few_matrices_at_once():
+    A, C, times = np.diag(np.arange(12.0)), np.ones((1, 12)), np.linspace(0.0, 1.0, 40_000)
+    linalg.rows_ahead(C, A, times[:2])
+    tracemalloc.start()
+    found = linalg.rows_ahead(C, A, times)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(found, np.exp(times[:, None, None] * np.arange(12.0)), rtol=1e-13)
+    assert most < 40_000 * 144 * 8
 
 
 def test_exponential_runs_backwards():

@@ -20,7 +20,7 @@ from sampling_design.design.bounds.derivatives import change_of_bend, remainder_
 from sampling_design.design.problem.design_problem import ON_AN_END, DesignProblem
 from sampling_design.design.problem.feasible import without_hours
 from sampling_design.design.problem.gram import lags
-from sampling_design.numerics.linalg import expm_batch, rows_ahead
+from sampling_design.numerics.linalg import AT_ONCE, expm_batch, rows_ahead
 from sampling_design.records.arrays import Array, Mask
 
 CELLS, CELLS_PER_RATE = 1200, 48.0
@@ -77,16 +77,21 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Du
     place = np.stack([home.astype(float), ahead])
     (base, count), node = np.unique(place, axis=1, return_inverse=True)
     node = node.reshape(-1)
-    step = expm_batch(A, count * apart)
-    Y = step @ Y0[base.astype(np.intp)] @ np.swapaxes(step, 1, 2)
+    Y = Y0[base.astype(np.intp)]
+    for part in _parts(len(Y), A.size):
+        step = expm_batch(A, count[part] * apart)
+        Y[part] = step @ Y[part] @ np.swapaxes(step, 1, 2)
     begin = left - bases[used][home] - ahead * apart
     with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
         growth = np.exp(2 * norm * (begin + width))[:, None] * np.sum(C**2, axis=1)
-    c, multiplier = rows_ahead(C, A, begin), Y[node]
-    first, weighted = c @ A, c @ multiplier
-    bend = 2 * np.sum(weighted * (first @ A) + (first @ multiplier) * first, axis=2)
-    end = rows_ahead(C, A, begin + width)
-    g_left, g_right = np.sum(weighted * c, axis=2), np.sum((end @ multiplier) * end, axis=2)
+    c, end = rows_ahead(C, A, begin), rows_ahead(C, A, begin + width)
+    first = c @ A
+    products = np.concatenate([c, first, end], axis=1)
+    for part in _parts(len(products), A.size):
+        products[part] = products[part] @ Y[node[part]]
+    weighted, of_first, of_end = np.split(products, 3, axis=1)
+    bend = 2 * np.sum(weighted * (first @ A) + of_first * first, axis=2)
+    g_left, g_right = np.sum(weighted * c, axis=2), np.sum(of_end * end, axis=2)
     high = float(np.max([g_left, g_right], initial=0.0))
     sharpness = remainder_of_bend(A, Y, 3, node, width, growth)
     loose = np.any(sharpness * (width**2 / 8)[:, None] > _LOOSE * high, axis=1)
@@ -96,6 +101,12 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Du
     rounded = rows.rounding * high
     beside = _beside(problem, starts, edges)
     return DualProfile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness, beside)
+
+
+def _parts(count: int, size: int) -> list[slice]:
+    """So many matrices of that size, few at once."""
+    together = AT_ONCE // size + 1
+    return [slice(low, low + together) for low in range(0, count, together)]
 
 
 def _beside(problem: DesignProblem, starts: Array, edges: Array) -> Mask:
@@ -166,9 +177,9 @@ def _multipliers_over(problem: DesignProblem, starts: Array, Z: Array, at: Array
     piece, window, cycle = np.nonzero((r <= problem.window) & (np.trace(Z, axis1=1, axis2=2) > 0)[None, :, None])
     Y = np.zeros((at.size, n, n))
     back = expm_batch(problem.rows.A, inside - at)
-    for low in range(0, piece.size, 20000):
-        i, m = piece[low : low + 20000], window[low : low + 20000]
-        E = expm_batch(problem.rows.A, r[i, m, cycle[low : low + 20000]] - (inside[i] - at[i]))
+    for part in _parts(piece.size, n * n):
+        i, m = piece[part], window[part]
+        E = expm_batch(problem.rows.A, r[i, m, cycle[part]] - (inside[i] - at[i]))
         np.add.at(Y, i, _moved(problem, E @ Z[m] @ np.swapaxes(E, 1, 2), back[i]))
     return Y
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -154,10 +155,15 @@ def plan_requirement(first: Path, second: Path | None) -> tuple[PlanRequirement,
 
 
 def plan(path: Path) -> Plan:
-    """The plan of a file."""
+    """The plan of a file, proven once for all that a command asks it for: its plant, its schedule, its bounds."""
+    return _read("plan", lambda file: _proven(file, read_text(file)), path)
+
+
+@lru_cache(maxsize=2)  # a command compares two of them
+def _proven(path: Path, _: str) -> Plan:
     from sampling_design.planning.files import read_plan
 
-    return _read("plan", read_plan, path)
+    return read_plan(path)
 
 
 def measurements(

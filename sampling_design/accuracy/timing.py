@@ -150,35 +150,27 @@ def added(search: GainSearch, question: AccuracyQuestion, known: DetectablePart,
         search.back = int(np.clip(search.system.memory, search.back, FARTHEST))
     late, g = question.timing_tolerance, np.zeros_like(question.bounds.v)
     forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
-    tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
+    tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {i: ({}, {}) for i in measured}
+    together: dict[int, dict[tuple[int, int], list[RowBetweenSamples]]] = {}
     for (j, i), node in search.system.incoming.items():
-        sides, table = (float(forward[i]), float(back[i])), tables.setdefault(i, ({}, {}))
-        g[j, i] = sample_adds(search, node, question.plant.C[i] @ known.lift, sides, table, seek)
+        sides, row = (float(forward[i]), float(back[i])), question.plant.C[i] @ known.lift
+        together.setdefault(node, {})[j, i] = [
+            moved_row(search.system, node, row, side, bool(early), table)
+            for early, (side, table) in enumerate(zip(sides, tables[i], strict=True))
+            if side
+        ]
+    for node, moved in together.items():
+        ends = [each.mu[-1] for opened in moved.values() for each in opened] if seek else []
+        while ends and not search.budget.over:
+            search.gains(node, ends.pop())
+        if ends:
+            search.sketch(node, np.array(ends))
+        for at, opened in moved.items():
+            g[at] = max((float(each.bound(search.directions[node])[1].max()) for each in opened), default=0.0)
     search.back = own
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
     return g
-
-
-def sample_adds(
-    search: GainSearch, j: int, row: Array, sides: tuple[float, float],
-    known: tuple[KnownIntegrals, KnownIntegrals], seek: bool,
-) -> float:  # fmt: skip
-    """Return what the sample at node j of an output adds at most that is so late or early; `row` (n,) is that of x.
-
-    `known` serves all samples of that output.
-    """
-    opened = [
-        moved_row(search.system, j, row, late, bool(back), table)
-        for back, (late, table) in enumerate(zip(sides, known, strict=True))
-        if late
-    ]
-    if seek and search.budget.over:
-        search.sketch(j, np.array([each.mu[-1] for each in opened]))
-    elif seek:
-        for each in opened:
-            search.gains(j, each.mu[-1])
-    return max((float(each.bound(search.directions[j])[1].max()) for each in opened), default=0.0)
 
 
 def _powers(A: Array) -> list[Array]:

@@ -19,7 +19,7 @@ from sampling_design.design.bounds.relaxation import (
     psd_part,
     relax_placed,
 )
-from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
+from sampling_design.design.bounds.weak_duality import alone_bound, bound_by_price, clear_of_ends, placed_bound
 from sampling_design.design.bounds.zone_bound import matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import (
     TINY,
@@ -294,14 +294,11 @@ def _priced(problem: DesignProblem, part: BoundPart, guess: float) -> BoundPart:
     """The same multipliers with the price of cost that makes the bound least; it is convex in the price."""
     from scipy.optimize import minimize_scalar
 
-    def value(price: float) -> float:
-        return replace(part, price=price).value_for(problem)
-
+    roots = problem.rows.carried(psd_root(part.weights))
+    value = bound_by_price(problem, part.starts, roots @ np.swapaxes(roots, 1, 2))
     unit = guess if guess > 0 else part.value**2 / problem.cost_limit
     found = minimize_scalar(lambda s: value(unit * s), bounds=(0.0, 2.5), method="bounded", options={"maxiter": 10})
-    tried = [(value(price), price) for price in (0.0, unit, unit * float(found.x))]
-    best, price = min(tried)
-    return replace(part, price=price, value=best)
+    return replace(part, price=min((0.0, unit, unit * float(found.x)), key=value)).judged(problem)
 
 
 def slow_part(problem: DesignProblem, budget: Budget = ENDLESS) -> BoundPart | None:

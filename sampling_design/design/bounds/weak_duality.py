@@ -11,6 +11,7 @@ each window each sample is early, late or on time, whichever shows <Z_m, G> leas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -314,27 +315,36 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
 
     A schedule that costs at most L has sum g <= price L + sum (g - price cost), for any price >= 0.
     """
-    prices = problem.costs * price if price > 0 and problem.costs is not None else None
-    spent = 0.0 if prices is None else price * problem.cost_limit
+    return bound_by_price(problem, starts, Z)(price)
+
+
+def bound_by_price(problem: DesignProblem, starts: Array, Z: Array) -> Callable[[float], float]:
+    """`placed_bound` of any price: what does not depend on it is worked out once."""
     arcs = _arcs(problem)
     grid = np.concatenate([np.zeros(0), *(a.edges for a in arcs)])
     edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
-    values = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask, prices), -np.inf)
-    if not problem.fixed.size:
-        cycle = arcs[0]
-        sums = cell_values(cycle, edges, values)
-        total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
-        return rooted(problem, spent + total)
-    spare = problem.samples - problem.fixed.size
+    g, spare = profile(problem, starts, Z, edges), problem.samples - problem.fixed.size
     there = problem.mask(problem.fixed) if spare else problem.measured(problem.fixed)
-    fixed = best_choice(value_at(problem, starts, Z, problem.fixed), there, prices)
-    best = np.append(0.0, np.full(spare, -np.inf))
-    turned = np.append(edges, edges[1:] + problem.period), np.tile(values, 2)
-    for arc in arcs:
-        if arc.stop > arc.start:
-            best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
-    return rooted(problem, spent + float(fixed.sum() + best[spare]))
+    at_fixed = value_at(problem, starts, Z, problem.fixed)
+
+    def bound(price: float) -> float:
+        prices = problem.costs * price if price > 0 and problem.costs is not None else None
+        spent = 0.0 if prices is None else price * problem.cost_limit
+        values = np.where(mask.any(axis=1), roofs(g, mask, prices), -np.inf)
+        if not problem.fixed.size:
+            cycle = arcs[0]
+            sums = cell_values(cycle, edges, values)
+            total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
+            return rooted(problem, spent + total)
+        best = np.append(0.0, np.full(spare, -np.inf))
+        turned = np.append(edges, edges[1:] + problem.period), np.tile(values, 2)
+        for arc in arcs:
+            if arc.stop > arc.start:
+                best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
+        return rooted(problem, spent + float(best_choice(at_fixed, there, prices).sum() + best[spare]))
+
+    return bound
 
 
 def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:

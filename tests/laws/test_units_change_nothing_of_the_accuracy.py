@@ -144,3 +144,17 @@ def test_other_states_attain_as_much(name, seed):
     assert np.all(here.lower <= there.upper * (1 + 1e-6) + 1e-9)
     assert np.all(there.lower >= here.lower * 0.9 - 1e-9)
     assert there.verify()
+
+
+@pytest.mark.parametrize(("time", "order"), [(1e-7, 3), (1e4, 3), (3e7, 1), (1e-6, 2)])
+def test_the_unit_of_time_changes_no_limit_of_integrators(time, order):
+    """They have no rate of their own: how soon w moves an output by its noise says how fast they are."""
+
+    def told(unit):
+        plant = sd.Plant(np.eye(order, k=1) / unit, np.eye(order)[:1], G=np.eye(order) / unit)
+        return sd.accuracy.accuracy_limit(plant, w_bound=np.full(order, 0.1), v_bound=[0.1])
+
+    here, there = told(1.0), told(time)
+    assert there.lower == pytest.approx(here.lower, rel=0.02)
+    assert there.closed
+    assert here.closed

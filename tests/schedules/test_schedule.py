@@ -109,6 +109,10 @@ def test_plain_data_is_exact():
         (lambda: Schedule([1j]), "`times` must be real, got complex"),
         (lambda: Schedule([1.0], time_unit="year"), "`time_unit` must be one of ms, s, min, h, d, wk, got 'year'"),
         (lambda: Schedule([1.0], origin="soon"), "`origin` must be a date like .*, got 'soon'"),
+        (
+            lambda: Schedule([1.0], origin="2026-01-05T08:00+00:00\0"),
+            r"`origin` must be a date like .*, got '2026-.*x00'",
+        ),
         (lambda: Schedule([1.0], origin=5), "`origin` must be a date like .*, got int 5"),
         (
             lambda: PeriodicSchedule([1.0], origin="2026-03-29T02:30[Europe/Berlin]"),

@@ -346,7 +346,7 @@ def test_the_copied_folder_takes_the_files_of_every_claim(claim, tmp_path, copie
         ('{"a":' * 30000, "is nested more than 20 levels deep"),
         ('{"a": 1, "a": 1}', "key 'a' occurs twice"),
         ('{"a": "\\ud800"}', "which is not Unicode"),
-        ("", "is not valid JSON at line 1"),
+        ("", "is empty, expected one JSON object"),
         ('{"a": ', "Was the file cut off?"),
     ],
 )

@@ -205,15 +205,10 @@ class BoundedDirections:
         return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))
 
 
-def combined_gains(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> tuple[Array, ...]:
-    """Return gains for mu'z_j put together from those of the nearest directions, the latest sample last."""
-    return combined(system, j, mu, directions)[0]
-
-
 def combined(
     system: SampledSystem, j: int, mu: Array, directions: BoundedDirections
 ) -> tuple[tuple[Array, ...], Array]:
-    """Return the same, and what they are the gains of: nearly mu."""
+    """Gains for mu'z_j put together from those of the nearest directions, the latest last; and of what: nearly mu."""
     place, share = directions.fit(mu[None])
     parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(place[0], share[0], strict=True)]
     empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]

@@ -175,7 +175,8 @@ class AccuracyQuestion:
         if not self.schedule.endless:
             n = self.plant.n_states
             return DetectablePart(self.plant, np.eye(n), np.zeros((n, 0)), ())
-        return self._known_of(self.plant)
+        outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
+        return known_part(self.plant, self.nodes, float(self.end - self.nodes[0]), outputs)
 
     def lasting(self, noise: Array | None = None) -> DetectablePart:
         """The same without what an endless past has left nothing of: where nothing drives the plant, what decays.
@@ -190,10 +191,6 @@ class AccuracyQuestion:
         reached = None if noise is None else known.plant.G @ noise
         left = lasting_part(known.plant, float(self.end - self.nodes[0]), reached)
         return known if left is None else replace(known, plant=left.plant, lift=known.lift @ left.lift)
-
-    def _known_of(self, plant: Plant) -> DetectablePart:
-        outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
-        return known_part(plant, self.nodes, float(self.end - self.nodes[0]), outputs)
 
     def filter_bounds(
         self, plant: Plant, moving: Array | None = None

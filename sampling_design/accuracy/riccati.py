@@ -15,15 +15,8 @@ import numpy as np
 
 from sampling_design.accuracy.undetectable import OTHER_STATES
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import (
-    CovarianceMap,
-    carried,
-    covariance_root,
-    exact_update,
-    information_update,
-    largest_first,
-    root_update,
-)
+from sampling_design.numerics import filtering
+from sampling_design.numerics.filtering import CovarianceMap
 from sampling_design.numerics.linalg import psd_root, right_directions
 from sampling_design.records.arrays import Array, Mask
 
@@ -109,10 +102,10 @@ class RootedPeriod:
         error that was made there."""
         after, error = [], np.eye(len(root))
         for F, H, noise in zip(self.F, self.rows, self.noise, strict=True):
-            root, step, _ = root_update(largest_first(root), H, -H @ error)
+            root, step, _ = filtering.root_update(filtering.largest_first(root), H, -H @ error)
             error = F @ (error + step)
             after.append(root)
-            root = carried(root, F, noise)
+            root = filtering.carried(root, F, noise)
         return after, root, error
 
     def exactly(self, root: Array, exact: Sequence[Mask], rounding: float, periods: int = 1) -> list[Array]:
@@ -124,11 +117,13 @@ class RootedPeriod:
         unknown, after = np.eye(len(root)), list[Array]()
         for F, H, noise, own in [*zip(self.F, self.rows, self.noise, exact, strict=True)] * periods:
             if not own.all():
-                root = root_update(largest_first(root), H[~own], np.zeros((np.count_nonzero(~own), 1)))[0]
+                root = filtering.root_update(
+                    filtering.largest_first(root), H[~own], np.zeros((np.count_nonzero(~own), 1))
+                )[0]
             for row in H[own]:
                 shown = row @ unknown
                 if np.linalg.norm(shown) > rounding * np.linalg.norm(row):
-                    left, rest = exact_update(unknown.T @ root, shown), right_directions(shown[None])[1][1:].T
+                    left, rest = filtering.exact_update(unknown.T @ root, shown), right_directions(shown[None])[1][1:].T
                     unknown = unknown @ rest
                     root = unknown @ (rest.T @ left)
             after.append(root)
@@ -136,7 +131,7 @@ class RootedPeriod:
             beside, sizes, _ = np.linalg.svd(noise - unknown @ (unknown.T @ noise))
             driven = np.count_nonzero(sizes > rounding * np.linalg.norm(noise))
             unknown = np.hstack([unknown, beside[:, :driven]])
-            root = unknown @ (unknown.T @ carried(root, F, noise))
+            root = unknown @ (unknown.T @ filtering.carried(root, F, noise))
         return after[-len(self.F) :]
 
     def walking(self, noise: Array) -> RootedPeriod:
@@ -198,7 +193,7 @@ def settled(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Ar
 def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
     """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
     maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
-    rooted = RootedPeriod(list(F), rows, [covariance_root(w) for w in W])
+    rooted = RootedPeriod(list(F), rows, [filtering.covariance_root(w) for w in W])
     start = np.eye(F.shape[1])
     try:
         period = in_turn(maps)
@@ -214,7 +209,7 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], li
         return _by_roots(rooted, np.sqrt(np.diag(start)))
     for following in maps[:-1]:
         P.append(following(P[-1]))
-    after = [information_update(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
+    after = [filtering.information_update(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
     return P, [_root_of(X) for X in after]
 
 

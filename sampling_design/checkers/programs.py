@@ -305,7 +305,7 @@ ONE: dict[str, Callable[[Interval], tuple[Interval, Interval]]] = {
     "inverse": lambda x: (iv.inverse(x), -iv.square(iv.inverse(x))),
     "sqrt": root,
     "exp": exp,
-    "log": lambda x: (iv.logarithm(x), where_positive(x)),
+    "log": lambda x: (iv.logarithm(x), iv.where(x.low > 0, iv.inverse(x), iv.nothing(x))),
     "sin": lambda x: (iv.sine(x), iv.cosine(x)),
     "cos": lambda x: (iv.cosine(x), -iv.sine(x)),
     "tan": tan,
@@ -315,8 +315,3 @@ ONE: dict[str, Callable[[Interval], tuple[Interval, Interval]]] = {
     "cosh": lambda x: hyperbolic(x)[::-1],
     "abs": absolute,
 }
-
-
-def where_positive(x: Interval) -> Interval:
-    """1/x where x is certainly positive, all numbers elsewhere."""
-    return iv.where(x.low > 0, iv.inverse(x), iv.nothing(x))

@@ -16,19 +16,8 @@ from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.bounds import NoiseBound
 from sampling_design.accuracy.projection import Projection
 from sampling_design.accuracy.sample_counts import AccuracyByCount
-from sampling_design.cli import files
+from sampling_design.cli import files, options
 from sampling_design.cli.estimate import known_bounds
-from sampling_design.cli.options import (
-    UNBOUNDED,
-    BoundOptions,
-    NoLimit,
-    PlantFile,
-    RelativeWidth,
-    TimingOption,
-    listed,
-    numbers,
-    timing,
-)
 from sampling_design.cli.settings import Settings, record_table
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import positive, whole
@@ -46,7 +35,7 @@ class TimeOptions:
         ),
     ] = None
     period: Annotated[float | None, typer.Option(help="Of --samples [time unit]; no default.")] = None
-    timing_tolerance: TimingOption = None
+    timing_tolerance: options.TimingOption = None
     result_delay: Annotated[
         str | None,
         typer.Option(
@@ -77,17 +66,17 @@ Pair = Annotated[
 
 def accuracy(
     settings: Settings,
-    plant_file: PlantFile,
+    plant_file: options.PlantFile,
     schedule_file: ScheduleOrCounts = None,
-    typed: BoundOptions = UNBOUNDED,
+    typed: options.BoundOptions = options.UNBOUNDED,
     of: Annotated[str, typer.Option(help="Names of states or outputs, with commas between. Default: all states.")] = "",
-    rtol: RelativeWidth = 0.01,
+    rtol: options.RelativeWidth = 0.01,
     tolerance: WantedError = None,
     w_intensity: WhiteDisturbance = None,
     v_deviation: WhiteNoise = None,
     projection: Pair = "",
     times: TimeOptions = ON_TIME,
-    budget: NoLimit = None,
+    budget: options.NoLimit = None,
 ) -> None:
     """Bracket the least error that any estimator can guarantee, at the worst time of a schedule.
 
@@ -101,7 +90,7 @@ def accuracy(
     if times.samples is None and times.period is None:
         path = files.schedule_path(plant_file, schedule_file, otherwise)
         schedule = files.schedule_for(settings, plant, path)
-    bounds, names = known_bounds(settings, plant, plant, typed.of(plant), planned, endless=True), listed(of)
+    bounds, names = known_bounds(settings, plant, plant, typed.of(plant), planned, endless=True), options.listed(of)
     for flag, bound, signals in (
         ("--w-bound", bounds["w_bound"], plant.disturbances), ("--v-bound", bounds["v_bound"], plant.outputs),
     ):  # fmt: skip
@@ -122,14 +111,14 @@ def accuracy(
         _finish_counts(settings, times, idle, by_count)
         return
     pair = _pair(projection)
-    wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
+    wanted = _wanted(options.numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy") as progress:
         found = sd.guaranteed_accuracy(
             plant, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol, budget=seconds,
             initial_error=bounds["initial_error"],
-            w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
-            v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
-            timing_tolerance=timing(times.timing_tolerance), progress=progress,
+            w_intensity=options.numbers("--w-intensity", w_intensity, plant.disturbances.names),
+            v_deviation=options.numbers("--v-deviation", v_deviation, plant.outputs.names),
+            timing_tolerance=options.timing(times.timing_tolerance), progress=progress,
         )  # fmt: skip
         cast = None if pair is None else found.projection(*pair)
     _finish(settings, found, cast, wanted)
@@ -146,7 +135,7 @@ def _finish_counts(
     if times.samples is None or times.period is None:
         lost = "--samples" if times.samples is None else "--period"
         raise ArgumentError(f"`{lost}` is missing: so many samples in each period, as --samples 0,4,8 --period 7.")
-    counts = np.atleast_1d(np.asarray(numbers("--samples", times.samples))).tolist()
+    counts = np.atleast_1d(np.asarray(options.numbers("--samples", times.samples))).tolist()
     found = by_count([whole("samples", count) for count in counts], period=positive("period", times.period))
     settings.finish(found, {"format": BY_COUNT, **found.to_dict()}, "accuracy")
     if not found.closed:
@@ -157,7 +146,7 @@ def _finish_counts(
 
 def _noise(plant: sd.Plant, bound: NoiseBound, result_delay: str | None) -> NoiseBound:
     """Bounds on the noise; where results come later, as the terms of each sensor."""
-    delay = numbers("--result-delay", result_delay, plant.outputs.names)
+    delay = options.numbers("--result-delay", result_delay, plant.outputs.names)
     if delay is None:
         return bound
     both = (np.broadcast_to(np.asarray(each), plant.n_outputs).tolist() for each in (bound, delay))
@@ -189,7 +178,7 @@ def _finish(settings: Settings, found: Accuracy, cast: Projection | None, wanted
 
 def _pair(text: str) -> tuple[str, str] | None:
     """Two names."""
-    names = listed(text)
+    names = options.listed(text)
     if names and len(names) != 2:
         raise ArgumentError(f"`--projection` must be two names with a comma between, got {text!r}.")
     return (names[0], names[1]) if names else None

@@ -14,17 +14,8 @@ from sampling_design.certificates.certification import within_tolerance
 from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
-from sampling_design.cli import files
+from sampling_design.cli import files, options
 from sampling_design.cli.estimate import known_bounds
-from sampling_design.cli.options import (
-    UNBOUNDED,
-    BoundOptions,
-    CertificateArgument,
-    PlantFile,
-    Rigorous,
-    shell_word,
-    timing,
-)
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
@@ -65,8 +56,7 @@ Gaps = Annotated[
 Spaced = Annotated[
     tuple[float, int, float] | None,
     typer.Option(
-        metavar="T K E",
-        help="Every schedule with K samples in each window T, E apart [time unit]: --spaced 5 4 .5.",
+        metavar="T K E", help="Every schedule with K samples in each window T, E apart [time unit]: --spaced 5 4 .5."
     ),
 ]
 Jittered = Annotated[
@@ -89,7 +79,7 @@ NewFile = Annotated[
 
 def certify(
     settings: Settings,
-    plant_file: PlantFile,
+    plant_file: options.PlantFile,
     schedule_file: ScheduleFile = None,
     eta: Eta = None,
     noise_gain: NoiseGain = None,
@@ -100,7 +90,7 @@ def certify(
     detectability: Detectability = False,
     certificate_file: NewFile = None,
     horizons: Horizons = False,
-    typed: BoundOptions = UNBOUNDED,
+    typed: options.BoundOptions = options.UNBOUNDED,
 ) -> None:
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
@@ -152,8 +142,8 @@ def certify(
         notes.append(_about_the_plan(planned))
     if (folder := settings.folder()) is not None:
         _write(settings, folder, certificate, compared)
-        made = shell_word(folder / "certificate.json")
-        asked = f"{shell_word(plant_file)} MEASUREMENTS.csv --certificate {made} -o {shell_word(folder)}"
+        file, made, there = map(options.shell_word, (plant_file, folder / "certificate.json", folder))
+        asked = f"{file} MEASUREMENTS.csv --certificate {made} -o {there}"
         notes += [f"Next: sampling-design verify {made}", f"Next: sampling-design estimate {asked}"]
     settings.show(certificate.to_dict(), record_table(certificate), *notes)
 
@@ -196,7 +186,7 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
             return schedule
         if kind == "lost":
             return sd.LostSamples(schedule, *families[kind])
-        found = within_tolerance(plant, schedule, timing(families[kind]))
+        found = within_tolerance(plant, schedule, options.timing(families[kind]))
         assert found is not None
         return found
     except ArgumentError as error:
@@ -225,11 +215,11 @@ def _write(settings: Settings, folder: Path, certificate: SampledCertificate, co
 
 def verify(
     settings: Settings,
-    certificate_file: CertificateArgument,
+    certificate_file: options.CertificateArgument,
     plant_file: Annotated[
         Path | None, typer.Option("--plant", metavar="PLANT", help="Also check that it is about this plant.")
     ] = None,
-    rigorous: Rigorous = False,
+    rigorous: options.Rigorous = False,
 ) -> None:
     """Check a certificate or an interval from its data alone.
 
@@ -257,8 +247,8 @@ def verify(
 
 def robustness(
     settings: Settings,
-    plant_file: PlantFile,
-    certificate_file: CertificateArgument,
+    plant_file: options.PlantFile,
+    certificate_file: options.CertificateArgument,
     horizon: Annotated[
         float | None, typer.Option(help="Horizon to be kept [time unit]; default: the certificate's.")
     ] = None,

@@ -11,17 +11,7 @@ from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design.checkers.strict import is_table
-from sampling_design.cli import files
-from sampling_design.cli.options import (
-    PlantFile,
-    RequirementFile,
-    Scheduler,
-    TimingOption,
-    WorkerCount,
-    shell_word,
-    timing,
-    workforce,
-)
+from sampling_design.cli import files, options
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.cli.sigma import window_length
 from sampling_design.errors import ArgumentError
@@ -40,7 +30,7 @@ SECONDS_BOUGHT = 1.0
 
 def info(
     settings: Settings,
-    plant_file: PlantFile,
+    plant_file: options.PlantFile,
     window: Annotated[
         float | None,
         typer.Option(help="Window of the counts [time unit]; default: the longest oscillation, else 4/|A|."),
@@ -113,15 +103,15 @@ TargetSigma = Annotated[
 
 def design(
     settings: Settings,
-    plant_file: PlantFile,
-    requirement_file: RequirementFile = None,
+    plant_file: options.PlantFile,
+    requirement_file: options.RequirementFile = None,
     window: DesignWindow = None,
     period: Period = None,
     spacing: Spacing = None,
     samples: Samples = None,
     target_sigma: TargetSigma = None,
     cost_limit: CostLimit = None,
-    timing_tolerance: TimingOption = None,
+    timing_tolerance: options.TimingOption = None,
     branches: Branches = None,
     start: Annotated[
         str | None,
@@ -148,7 +138,7 @@ def design(
     requirement = _required(
         settings, requirement_file, window=window, period=period, spacing=spacing, samples=samples,
         target_sigma=target_sigma, cost_limit=cost_limit,
-        timing_tolerance=None if timing_tolerance is None else timing(timing_tolerance),
+        timing_tolerance=None if timing_tolerance is None else options.timing(timing_tolerance),
     )  # fmt: skip
     with settings.progress("design") as progress:
         rng = np.random.default_rng(settings.seed)
@@ -163,8 +153,8 @@ def design(
         paths, notes = sd.design.write_design(result, folder, origin=zero, zone=zone)
         settings.wrote(*paths, notes=notes)
         settings.draw(result, "design", origin=zero)
-        made = f"{shell_word(folder / 'schedule.csv')} -o {shell_word(folder)}"
-        next_steps = [f"Next: sampling-design certify {shell_word(plant_file)} {made}"]
+        made = f"{options.shell_word(folder / 'schedule.csv')} -o {options.shell_word(folder)}"
+        next_steps = [f"Next: sampling-design certify {options.shell_word(plant_file)} {made}"]
     if result.decay is not None:
         next_steps = _bought(result, plant_file)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain(), *next_steps)
@@ -183,7 +173,7 @@ def _bought(result: ScheduleDesign, plant_file: Path) -> list[str]:
     )  # fmt: skip
     which = "the plant's scales, and the noise bounds of its sensors" if sensors else "the plant's scales"
     line = (
-        f"sampling-design accuracy {shell_word(plant_file)} --samples {','.join(map(str, decay.counts))} "
+        f"sampling-design accuracy {options.shell_word(plant_file)} --samples {','.join(map(str, decay.counts))} "
         f"--period {decay.to_a_tenth:g} --w-bound W --v-bound V"
     )
     return [f"{found.explain()} The bounds are typical sizes: {which}. With your own:", f"Next: {line}"]
@@ -200,11 +190,11 @@ def _samples(result: ScheduleDesign) -> list[RichTable | str]:
 
 def pareto(
     settings: Settings,
-    plant_file: PlantFile,
-    requirement_file: RequirementFile = None,
+    plant_file: options.PlantFile,
+    requirement_file: options.RequirementFile = None,
     counts: Annotated[str, typer.Option(help="Samples per period, at least one number: 8,10,12 or 8-16.")] = "",
-    workers: WorkerCount = 1,
-    scheduler: Scheduler = None,
+    workers: options.WorkerCount = 1,
+    scheduler: options.Scheduler = None,
     budget: Annotated[
         float | None,
         typer.Option(
@@ -223,7 +213,7 @@ def pareto(
     plant = files.plant(plant_file)
     requirement, folder = _required(settings, requirement_file), settings.folder()
     resume = None if folder is None else folder / "pareto.json"
-    with settings.progress("pareto") as progress, workforce(workers, scheduler) as pool:
+    with settings.progress("pareto") as progress, options.workforce(workers, scheduler) as pool:
         front = sd.pareto_front(
             plant, requirement, _counts(counts), rng=np.random.default_rng(settings.seed), workers=pool, resume=resume,
             progress=progress, budget=None if budget is None else positive("budget", budget),
@@ -254,8 +244,8 @@ def _counts(text: str) -> list[int]:
 
 def losses(
     settings: Settings,
-    plant_file: PlantFile,
-    requirement_file: RequirementFile = None,
+    plant_file: options.PlantFile,
+    requirement_file: options.RequirementFile = None,
     every_period: Annotated[
         bool, typer.Option("--every-period", help="Leave the sample out of every period, not once.")
     ] = False,

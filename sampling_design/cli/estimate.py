@@ -10,17 +10,8 @@ import typer
 
 import sampling_design as sd
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
-from sampling_design.cli import files
+from sampling_design.cli import files, options
 from sampling_design.cli.estimate_rows import USUAL, EstimateOptions, followed
-from sampling_design.cli.options import (
-    UNBOUNDED,
-    BoundOptions,
-    CertificateFile,
-    Eta,
-    MeasurementFile,
-    PlantFile,
-    numbers,
-)
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import check_radii
@@ -32,9 +23,9 @@ from sampling_design.records.vector_bounds import VectorBound, vector_bound
 
 def estimate(
     settings: Settings,
-    plant_file: PlantFile,
-    measurement_file: MeasurementFile,
-    certificate_file: CertificateFile = None,
+    plant_file: options.PlantFile,
+    measurement_file: options.MeasurementFile,
+    certificate_file: options.CertificateFile = None,
     schedule_file: Annotated[
         Path | None,
         typer.Option("--schedule", "--plan", metavar="FILE", help="Schedule that is certified first, or a plan."),
@@ -43,8 +34,8 @@ def estimate(
     horizon: Annotated[
         float | None, typer.Option(help="Length of the estimator's window [time unit]; default: the certificate's.")
     ] = None,
-    typed: BoundOptions = UNBOUNDED,
-    eta: Eta = None,
+    typed: options.BoundOptions = options.UNBOUNDED,
+    eta: options.Eta = None,
     how: EstimateOptions = USUAL,
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
@@ -78,7 +69,7 @@ def estimate(
     files.check_measured(record, measurement_file)
     record = record.in_order() if how.leave_out is None else _without(record, how.leave_out)
     certificate = None if certificate_file is None else files.sampling_certificate(certificate_file, plant)
-    first = numbers("--prior", prior, plant.states.names)
+    first = options.numbers("--prior", prior, plant.states.names)
     with settings.progress("certificate") as progress:
         chosen = sd.estimators.estimator_for(
             plant, record, certificate, schedule=schedule, eta=eta, horizon=horizon,

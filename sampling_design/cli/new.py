@@ -15,13 +15,7 @@ import typer
 
 import sampling_design as sd
 from sampling_design.cli.options import by_name, listed, shell_word
-from sampling_design.cli.requirement_flags import (
-    RequirementFlags,
-    plan_requirement,
-    positive_times,
-    requirement,
-    week,
-)
+from sampling_design.cli.requirement_flags import RequirementFlags, plan_requirement, positive_times, requirement, week
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.requirement_file import write_plan_requirement

@@ -9,20 +9,8 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design.cli import files
+from sampling_design.cli import files, options
 from sampling_design.cli.estimate import known_bounds, or_scales
-from sampling_design.cli.options import (
-    UNBOUNDED,
-    BoundOptions,
-    CertificateFile,
-    Eta,
-    PlantFile,
-    ScheduleFile,
-    Scheduler,
-    Window,
-    WorkerCount,
-    workforce,
-)
 from sampling_design.cli.settings import Settings, table
 from sampling_design.cli.sigma import window_length
 from sampling_design.errors import ArgumentError
@@ -35,17 +23,17 @@ from sampling_design.records.units import time_factor
 
 def validate(
     settings: Settings,
-    plant_file: PlantFile,
-    schedule_file: ScheduleFile = None,
-    certificate_file: CertificateFile = None,
+    plant_file: options.PlantFile,
+    schedule_file: options.ScheduleFile = None,
+    certificate_file: options.CertificateFile = None,
     runs: Annotated[int, typer.Option(help="Random trials.")] = 200,
     duration: Annotated[
         float | None, typer.Option(help="Length of a trial [time unit]; default: three horizons, and at least 40 gaps.")
     ] = None,
-    typed: BoundOptions = UNBOUNDED,
-    eta: Eta = None,
-    workers: WorkerCount = 1,
-    scheduler: Scheduler = None,
+    typed: options.BoundOptions = options.UNBOUNDED,
+    eta: options.Eta = None,
+    workers: options.WorkerCount = 1,
+    scheduler: options.Scheduler = None,
 ) -> None:
     """Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).
 
@@ -76,7 +64,7 @@ def validate(
         settings.notice(f"--eta not given: {rate}, one over the longest gap, is used.")
     folder = settings.folder()
     journal = None if folder is None else folder / "validation.journal"
-    with settings.progress("validate") as progress, workforce(workers, scheduler) as pool:
+    with settings.progress("validate") as progress, options.workforce(workers, scheduler) as pool:
         report = sd.validate(
             plant, schedule, certificate, runs=runs, duration=duration, rng=np.random.default_rng(settings.seed),
             workers=pool, resume=journal, progress=progress, **bounds,
@@ -94,14 +82,14 @@ def validate(
 
 def compare(
     settings: Settings,
-    plant_file: PlantFile,
+    plant_file: options.PlantFile,
     schedule_file: Annotated[
         Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none where PLANT is a plan.")
     ],
     measurement_file: Annotated[
         Path | None, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")
     ] = None,
-    window: Window = None,
+    window: options.Window = None,
 ) -> None:
     """Compare planned with actual sample times: what came late, what was missed, and what that costs.
 

@@ -175,7 +175,8 @@ def sample_losses(
     checks.positive("rtol", rtol)
     given = Budget(None if budget is None else checks.nonnegative("budget", budget))
     proving, count = given.share(0.7), len(design.schedule)
-    periods = 1 if every_period else periods_touched(design.schedule, float(design.requirement.window or 0))
+    touched = int(np.ceil(float(design.requirement.window or 0) / design.schedule.period)) + 1  # by a window, plus one
+    periods = 1 if every_period else touched
     proofs: list[WindowSigma | None] = []
     for i in range(count):
         rest = without_sample(design.schedule, i, periods)
@@ -272,11 +273,6 @@ def _fewer(design: ScheduleDesign, required: Requirement, budget: Budget, rng: S
     if found.status == "interrupted":
         raise KeyboardInterrupt
     return found.upper_bound
-
-
-def periods_touched(schedule: PeriodicSchedule, window: float) -> int:
-    """Periods that a window can touch, plus one."""
-    return int(np.ceil(window / schedule.period)) + 1
 
 
 def without_sample(schedule: PeriodicSchedule, i: int, periods: int) -> PeriodicSchedule | None:

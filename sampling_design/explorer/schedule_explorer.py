@@ -191,7 +191,7 @@ class ScheduleExplorer:
             "plan": self._plan,
             "design": self._design,
             "certify": self._certify,
-            "horizons": self._horizons,
+            "horizons": lambda: {"said": four_horizons(self.plant, self.schedule).explain()},
             "save": self._save,
         }
         verb = question.get("ask")
@@ -452,9 +452,6 @@ class ScheduleExplorer:
     def _certify(self) -> Reply:
         found = certify(self.plant, self.schedule)
         return {"said": found.explain(), "passed": bool(found.verify())}
-
-    def _horizons(self) -> Reply:
-        return {"said": four_horizons(self.plant, self.schedule).explain()}
 
     def _save(self) -> Reply:
         folder = self.folder or Path()

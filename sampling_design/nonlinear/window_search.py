@@ -49,7 +49,8 @@ def moved(previous: WindowSolution, guess: WindowSolution, points: Array, before
     """
     old, new = previous.edges, guess.edges
     node, same = _same_nodes(old, new)
-    piece, inside = _shared_pieces(old, new)
+    middle = (new[:-1] + new[1:]) / 2
+    piece, inside = np.searchsorted(old, middle) - 1, (middle > old[0]) & (middle < old[-1])
     times = _collocation_times(new, points)
     known = np.concatenate([old[:1], _collocation_times(old, before).ravel()])
     path = np.vstack([previous.point.z0[None], previous.point.z.reshape(-1, previous.point.z0.size)])
@@ -81,12 +82,6 @@ def _rows_where(rows: Array, index: Index, chosen: Mask) -> Array:
     result = np.zeros((index.size, *rows.shape[1:]))
     result[chosen] = rows[index[chosen]]
     return result
-
-
-def _shared_pieces(old: Array, new: Array) -> tuple[Index, Mask]:
-    """For each new piece the old one that holds its middle, and whether there is one."""
-    middle = (new[:-1] + new[1:]) / 2
-    return np.searchsorted(old, middle) - 1, (middle > old[0]) & (middle < old[-1])
 
 
 def _same_nodes(old: Array, new: Array) -> tuple[Index, Mask]:

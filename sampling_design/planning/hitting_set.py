@@ -63,13 +63,7 @@ class _TreeSearch:
     """The tree, node by node."""
 
     def __init__(
-        self,
-        covering: CoveringRows,
-        pool: HiddenTrajectories,
-        level: float,
-        below: float,
-        most: int,
-        work: Budget,
+        self, covering: CoveringRows, pool: HiddenTrajectories, level: float, below: float, most: int, work: Budget
     ):
         self.covering, self.pool, self.level = covering, pool, level
         self.below, self.most, self.work = below, most, work

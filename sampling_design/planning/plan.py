@@ -18,6 +18,7 @@ from sampling_design.errors import (
     NotDetectableError,
     UndecidedError,
 )
+from sampling_design.planning import proven_choice
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringRows, cheapest
@@ -27,19 +28,7 @@ from sampling_design.planning.evidence import EASED, CostProof, PlanBound, gathe
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, limit_of, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
-from sampling_design.planning.proven_choice import (
-    FeasibleChoices,
-    ProvenChoice,
-    coarser,
-    coarser_grids,
-    densest,
-    lifted_choices,
-    lifted_trajectories,
-    plan_of,
-    proven_of,
-    sparse,
-    tighter_margins,
-)
+from sampling_design.planning.proven_choice import FeasibleChoices, ProvenChoice
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.search_progress import AFTER, AFTERWARDS, CERTIFIED, PlanProgress
@@ -198,7 +187,7 @@ class _Planning:
 
     def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, finer: _Planning | None = None):
         self.problem, self.given = problem, work
-        more = len(coarser_grids(problem))
+        more = len(proven_choice.coarser_grids(problem))
         whole = Budget(work * (1 + COARSER[0] * more) + COARSER[1] * more, counted=True)
         own = PlanProgress(progress, problem, whole)
         self.progress: PlanProgress = own if finer is None else finer.progress
@@ -219,7 +208,7 @@ class _Planning:
         none of its plans is cheaper, or more accurate, than that of this grid. Its best comes first.
         What it found against other choices joins them here: what is held needs no more of them, its bound does.
         """
-        coarse, work = coarser(self.problem), self.oracle.work
+        coarse, work = proven_choice.coarser(self.problem), self.oracle.work
         if coarse is None:
             return []
         try:
@@ -236,13 +225,15 @@ class _Planning:
             pass
         work.spend(run.oracle.work.spent)
         self.feasible.lift(run.feasible)
-        self.search.add(lifted_trajectories(self.oracle, run.discrete, run.search.pool.trajectories), 1.0)
+        self.search.add(proven_choice.lifted_trajectories(self.oracle, run.discrete, run.search.pool.trajectories), 1.0)
         return self._lifted(run, best)
 
     def _lifted(self, run: _Planning, best: list[Mask]) -> list[Mask]:
         """What a search on a coarser grid holds, the best first, and all of its times if they do, on this one."""
-        feasible = [chosen for chosen, _ in run.search.incumbents[::-1]] + [densest(run.problem)] * run.kept
-        return lifted_choices(self.problem, best + feasible)
+        feasible = [chosen for chosen, _ in run.search.incumbents[::-1]] + [
+            proven_choice.densest(run.problem)
+        ] * run.kept
+        return proven_choice.lifted_choices(self.problem, best + feasible)
 
     def sought(self) -> ProvenChoice:
         """The best choice that the search for the requirement's aim comes to, by proof."""
@@ -260,7 +251,7 @@ class _Planning:
         search.add(trajectories, 0.0 if self.oracle.few else 1.0)
         if worst > 1:
             self._refuse(trajectories)
-        everything = densest(self.problem)
+        everything = proven_choice.densest(self.problem)
         worst, trajectories = self.oracle.judge(everything, longest=True)
         search.add(trajectories, 1.0)
         self.kept = worst <= 1
@@ -279,7 +270,9 @@ class _Planning:
                 again = last.worst > 1 and not search.late and self._needs_longer_past(last)
             if last.worst <= 1 or search.late:
                 break
-            margins += tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
+            margins += (
+                proven_choice.tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
+            )
         if last.worst <= 1 and not late:
             last = self._within_margin(last)
         search.share = np.inf
@@ -339,13 +332,13 @@ class _Planning:
         work.stop()
         if self.problem.requirement.aim == "cheapest":
             try:
-                best = self.feasible.cheapest([chosen for chosen, _ in incumbents], densest(self.problem))
+                best = self.feasible.cheapest([chosen for chosen, _ in incumbents], proven_choice.densest(self.problem))
             except UndecidedError:  # the densest one was judged too well, and nothing else is feasible
                 raise KeyboardInterrupt from None
         else:
             best = self.feasible.sharpest(incumbents, self.feasible.proven(incumbents[-1][0]))
         bound = gathered(self.search.pool, None, self.least)
-        return plan_of(self.problem, best.chosen, best.proof, bound, "interrupted")
+        return proven_choice.plan_of(self.problem, best.chosen, best.proof, bound, "interrupted")
 
     def _needs_longer_past(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
@@ -394,7 +387,7 @@ class _Planning:
         search = self.search
         self._require_detectable()
         search.starts = self.started()
-        for chosen in [self._detecting(sparse(self.problem)), *search.starts]:
+        for chosen in [self._detecting(proven_choice.sparse(self.problem)), *search.starts]:
             worst, trajectories = self.oracle.judge(chosen)
             search.add(trajectories, 0.0)
             if worst < search.worst:
@@ -432,7 +425,7 @@ class _Planning:
         left = (1 + share) * work.seconds + seconds - work.spent
         room = share * work.spent + seconds if work.stopped else max(left, min(work.seconds, seconds))
         own = Budget(room, counted=True)
-        found = proven_of(self.problem, chosen, own)
+        found = proven_choice.proven_of(self.problem, chosen, own)
         work.spend(own.spent)
         return found
 
@@ -492,4 +485,4 @@ class _Planning:
     def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.complete
         self.progress.proven(best.chosen, best.worst)
-        return plan_of(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")
+        return proven_choice.plan_of(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")

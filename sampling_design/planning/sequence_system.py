@@ -9,20 +9,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from sampling_design.accuracy import sampled_system
 from sampling_design.accuracy.between_samples import KnownIntegrals
-from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof, combined_gains
+from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof, combined
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, coordinate_root, finite_directions, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out
-from sampling_design.accuracy.sampled_system import (
-    GapDynamics,
-    MeasurementModel,
-    SampledSystem,
-    make_gap,
-    noise_units,
-    refuse_growth,
-)
+from sampling_design.accuracy.sampled_system import GapDynamics, MeasurementModel, SampledSystem
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
@@ -297,7 +291,7 @@ def timing_gains(plan: PlanFigures, node: int, i: int, back: bool) -> tuple[Arra
     reach = own.reach[own.sample_of(node)]
     directions = BoundedDirections.of(reach, part.directions, part.gains, [0.0] * len(part.gains))
     mu = moved_row(own, node, plan.plant.C[i], side, back, {}).mu[-1]
-    return combined_gains(own, node, mu, directions)
+    return combined(own, node, mu, directions)[0]
 
 
 def _noisier_system(
@@ -306,7 +300,7 @@ def _noisier_system(
     """The system of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
     in coordinates of their own."""
     own, times, gaps = plan_system(plan), sequence.centres, np.diff(sequence.centres)
-    refuse_growth(plan.plant, gaps)
+    sampled_system.refuse_growth(plan.plant, gaps)
     phases = [None if k < starting else _planned(plan, sequence, k) for k in range(len(times))]
     same = _same_gaps(plan, phases, gaps)
     fresh = [k for k in range(len(gaps)) if not same[k]]
@@ -338,7 +332,7 @@ def _noisier_system(
         else:
             key = h, L[k].tobytes(), L[k + 1].tobytes()
             if key not in plan.oracle.gaps:
-                plan.oracle.gaps[key] = make_gap(table, h, L[k], L[k + 1], flows[k][0])
+                plan.oracle.gaps[key] = sampled_system.make_gap(table, h, L[k], L[k + 1], flows[k][0])
             made.append(plan.oracle.gaps[key])
     followed = () if sequence.begins else sequence.clock_times[: sequence.first].tolist()
     before = [sequence.wider * own.reach[phase_of(plan.schedule, t)] for t in followed]
@@ -403,7 +397,7 @@ def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[A
     own, v_bound = plan_system(plan), plan.problem.v_bound
     v = np.where(measured & np.isfinite(v_bound), v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
-    (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
+    (H,), (size,), (exact,) = sampled_system.noise_units(plan.plant.C * own.D, bounds, P[None])
     root = coordinate_root(covariance_root(information_update(P, H.T @ H)))
     K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
     return root, MeasurementModel(bounds.measured(0), size, H @ root, exact, K)

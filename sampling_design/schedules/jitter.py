@@ -16,10 +16,8 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
+from sampling_design.schedules import family
 from sampling_design.schedules.family import (
-    OUTWARD,
-    RANDOM_WORDS,
-    START,
     AnySchedule,
     FamilyStep,
     FamilyVariation,
@@ -27,12 +25,7 @@ from sampling_design.schedules.family import (
     NominalFamily,
     Steps,
     Word,
-    extent,
-    in_family_unit,
-    masks_of,
     period_of,
-    pick,
-    reach_of,
 )
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
@@ -168,8 +161,9 @@ class TimingTolerance:
         if self and self.span >= least:
             equal = self.early == self.late and not self.apart
             limit = "less than half of" if equal else "early and late, together less than"
+            said = short(self.plain) if isinstance(self.plain, float) else f"{self.plain}"
             raise ArgumentError(
-                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {_in_text(self)}: samples could "
+                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {said}: samples could "
                 "change places."
             )
 
@@ -210,11 +204,6 @@ def _in_words(early: float, late: float, in_words: Callable[[float], str]) -> st
         return f"up to {in_words(early)} early or late" if early else "on time"
     words = [f"up to {in_words(t)} {side}" for t, side in ((early, "early"), (late, "late")) if t]
     return " or ".join(words)
-
-
-def _in_text(tolerance: TimingTolerance) -> str:
-    plain = tolerance.plain
-    return short(plain) if isinstance(plain, float) else f"{plain}"
 
 
 def _pair(name: str, value: object, time: Callable[[str, object], float]) -> tuple[float, float]:
@@ -330,7 +319,7 @@ class Jitter(NominalFamily, kind="jitter"):
         A finite schedule is compared with the nominal samples of the same numbers (a finite nominal one must
         have as many); an endless one must keep the nominal pace for ever, and measure the same outputs.
         """
-        schedule = in_family_unit(schedule, self.time_unit)
+        schedule = family.in_family_unit(schedule, self.time_unit)
         if not len(schedule):
             return False
         mine = self.schedule
@@ -368,7 +357,7 @@ class Jitter(NominalFamily, kind="jitter"):
         """
         rng = checks.generator(rng)
         part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
-        shifts = np.array([pick(rng, -self.timing_tolerance, self.timing_tolerance) for _ in range(len(part))])
+        shifts = np.array([family.pick(rng, -self.timing_tolerance, self.timing_tolerance) for _ in range(len(part))])
         return Schedule(np.maximum(part.times + shifts, 0.0), part.outputs, **part._details())
 
     @property
@@ -379,18 +368,18 @@ class Jitter(NominalFamily, kind="jitter"):
     def steps(self, memory: int, outputs: int) -> Steps:
         """Words are the phase, and lower and upper end of the last deviation."""
         schedule, radius = period_of(self.schedule), self.timing_tolerance
-        masks, reach, cells = masks_of(schedule, outputs), reach_of(schedule), deviation_cells(memory)
+        masks, reach, cells = family.masks_of(schedule, outputs), family.reach_of(schedule), deviation_cells(memory)
         borders = np.linspace(-radius, radius, cells + 1).tolist() if radius else [0.0, 0.0]
 
         def steps(word: Word) -> list[FamilyStep]:
-            start = word == START
+            start = word == family.START
             phase, *last = (-1, 0.0, 0.0) if start else (int(word[0]), float(word[1]), float(word[2]))
             found = []
             for j in range(len(schedule)) if start else [(phase + 1) % len(schedule)]:
                 gap = float(schedule.gaps[j])
                 for a, b in pairwise(borders):
                     low, high = (0.0, reach[j] + radius + b) if start else (gap + a - last[1], gap + b - last[0])
-                    wider = OUTWARD * (gap + radius) if radius else 0.0  # no deviation, no rounding
+                    wider = family.OUTWARD * (gap + radius) if radius else 0.0  # no deviation, no rounding
                     found.append(FamilyStep((j, a, b), max(low - wider, 0.0), high + wider, masks[j]))
             return found
 
@@ -406,7 +395,7 @@ class Jitter(NominalFamily, kind="jitter"):
     ) -> Iterator[PeriodicSchedule]:
         """Yield two periods with every deviation none or the largest."""
         cycle = period_of(self.schedule)
-        for _ in range(4 * RANDOM_WORDS):
+        for _ in range(4 * family.RANDOM_WORDS):
             yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(cycle)) * self.timing_tolerance)
 
     def variation(self, start: PeriodicSchedule) -> FamilyVariation | None:
@@ -462,7 +451,7 @@ def nominal_part(schedule: AnySchedule, duration: float | None, samples: int | N
         if duration is not None or samples is not None:
             raise ArgumentError("`duration` and `samples` are for an endless nominal schedule; this one is finite.")
         return schedule
-    stop, most = extent(duration, samples, default, schedule.period / len(schedule))
+    stop, most = family.extent(duration, samples, default, schedule.period / len(schedule))
     if samples is not None:
         return _first(schedule, most)
     inside = schedule.count(0.0, stop, closed="left")

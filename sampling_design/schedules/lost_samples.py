@@ -13,19 +13,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import Seed
-from sampling_design.schedules.family import (
-    START,
-    AnySchedule,
-    FamilyStep,
-    Leeway,
-    NominalFamily,
-    Steps,
-    Word,
-    in_family_unit,
-    masks_of,
-    period_of,
-    reach_of,
-)
+from sampling_design.schedules import family
+from sampling_design.schedules.family import AnySchedule, FamilyStep, Leeway, NominalFamily, Steps, Word, period_of
 from sampling_design.schedules.jitter import nominal_part, same_outputs
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -95,7 +84,7 @@ class LostSamples(NominalFamily, kind="lost-samples"):
 
         A finite schedule is judged up to its last sample (to the end of a finite nominal one).
         """
-        schedule = in_family_unit(schedule, self.time_unit)
+        schedule = family.in_family_unit(schedule, self.time_unit)
         if not len(schedule):
             return False
         mine = self.schedule
@@ -162,10 +151,10 @@ class LostSamples(NominalFamily, kind="lost-samples"):
     def steps(self, memory: int, outputs: int) -> Steps:
         """Words are the phase and the last losses, newest first: at most `most` of any remembered ones are lost."""
         schedule, remembered = period_of(self.schedule), self.most + 1 + memory
-        masks, reach, lost = masks_of(schedule, outputs), reach_of(schedule), (False,) * outputs
+        masks, reach, lost = family.masks_of(schedule, outputs), family.reach_of(schedule), (False,) * outputs
 
         def steps(word: Word) -> list[FamilyStep]:
-            start = word == START
+            start = word == family.START
             phase, *bits = (-1,) if start else tuple(int(x) for x in word)
             found = []
             for j in range(len(schedule)) if start else [(phase + 1) % len(schedule)]:

@@ -15,6 +15,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import Converted, frozen
+from sampling_design.schedules import jitter
 from sampling_design.schedules.family import (
     OUTWARD,
     RANDOM_WORDS,
@@ -31,15 +32,7 @@ from sampling_design.schedules.family import (
     pick,
     reach_of,
 )
-from sampling_design.schedules.jitter import (
-    DEVIATION_CELLS,
-    Jitter,
-    TimingTolerance,
-    begun_late,
-    deviation_cells,
-    moved,
-    nominal_part,
-)
+from sampling_design.schedules.jitter import Jitter, TimingTolerance
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -113,7 +106,7 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
         middles, radii = (self.late - self.early) / 2, (self.late + self.early) / 2
         parts = [_read_by(self.schedule, own) for own in self._mask(self.schedule).T]
         return tuple(
-            None if part is None else Jitter(moved(part, float(by)), float(radius))
+            None if part is None else Jitter(jitter.moved(part, float(by)), float(radius))
             for part, by, radius in zip(parts, middles, radii, strict=True)
         )
 
@@ -152,7 +145,7 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
         followed; a finite one is followed to its end. Raises ArgumentError as `Jitter.draw` does.
         """
         rng = checks.generator(rng)
-        part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
+        part = jitter.nominal_part(self.schedule, duration, samples, 20 * self.d_max)
         at, read = np.nonzero(self._mask(part))
         shifts = [pick(rng, -self.early[i], self.late[i]) for i in read]
         times, mask = self._readings(part.times[at] + np.array(shifts), read)
@@ -169,11 +162,11 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
     def levels_of_memory(self) -> int:
         """How finely the last deviation may be remembered; less so where many words say what is yet to be read."""
         words = sum(int(n) << int(n) - 1 for n in self._mask(self.schedule).sum(axis=1))
-        return max(1, sum(words * cells <= MOST_WORDS for cells in DEVIATION_CELLS))
+        return max(1, sum(words * cells <= MOST_WORDS for cells in jitter.DEVIATION_CELLS))
 
     def steps(self, memory: int, outputs: int) -> Steps:
         """Words are the phase, lower and upper end of the last deviation, and the outputs that are yet to be read."""
-        schedule, cells = period_of(self.schedule), deviation_cells(memory)
+        schedule, cells = period_of(self.schedule), jitter.deviation_cells(memory)
         read = [tuple(i for i, on in enumerate(row) if on) for row in masks_of(schedule, outputs)]
         reach, early, late = reach_of(schedule), self.early.tolist(), self.late.tolist()
         rounding = OUTWARD * (max(early) + max(late))
@@ -211,7 +204,7 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
         for k in range(4 * RANDOM_WORDS):
             side = rng.choice([-1.0, 0.0, 1.0], read.size if k % 2 else self.early.size)[slice(None) if k % 2 else read]
             shifts = np.where(side < 0, side * self.early[read], side * self.late[read])
-            yield begun_late(*self._readings(times + shifts, read), 2 * cycle.period, time_unit=cycle.time_unit)
+            yield jitter.begun_late(*self._readings(times + shifts, read), 2 * cycle.period, time_unit=cycle.time_unit)
 
     def variation(self, start: PeriodicSchedule) -> FamilyVariation | None:
         """None: no member is sought near another one."""
@@ -250,7 +243,7 @@ def _read_by(schedule: AnySchedule, own: Mask) -> AnySchedule | None:
     if not own.any():
         return None
     if schedule.endless:
-        return begun_late(schedule.times[own], None, schedule.period, time_unit=schedule.time_unit)
+        return jitter.begun_late(schedule.times[own], None, schedule.period, time_unit=schedule.time_unit)
     return Schedule(schedule.times[own], time_unit=schedule.time_unit)
 
 
@@ -266,5 +259,5 @@ def _reads_as(family: Jitter | None, schedule: AnySchedule, own: Mask) -> bool:
     if family is None or schedule.endless or not family.schedule.endless:
         return True
     end, count = float(schedule.times[-1]), int(own.sum())
-    deadline = nominal_part(family.schedule, None, count + 1, 0.0).times[-1] + family.timing_tolerance
+    deadline = jitter.nominal_part(family.schedule, None, count + 1, 0.0).times[-1] + family.timing_tolerance
     return bool(deadline >= end * (1 - ROUNDING))

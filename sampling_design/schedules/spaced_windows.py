@@ -12,18 +12,8 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
-from sampling_design.schedules.family import (
-    GAP_MEMORY,
-    OUTWARD,
-    AnySchedule,
-    SamplingFamily,
-    Steps,
-    Word,
-    extent,
-    gap_steps,
-    in_family_unit,
-    pick,
-)
+from sampling_design.schedules import family
+from sampling_design.schedules.family import AnySchedule, SamplingFamily, Steps, Word
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -144,7 +134,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         A finite schedule is judged by the windows within [0, its last sample]; one that is shorter than
         a window does not belong. Comparisons hold up to the rounding of times (`ROUNDING`).
         """
-        schedule = in_family_unit(schedule, self.time_unit)
+        schedule = family.in_family_unit(schedule, self.time_unit)
         if not len(schedule):
             return False
         T, k = self.window, self.count
@@ -182,7 +172,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         """
         rng = checks.generator(rng)
         self._need_endless()
-        stop, most = extent(duration, samples, 10 * self.window, self.window / self.count)
+        stop, most = family.extent(duration, samples, 10 * self.window, self.window / self.count)
         if stop < self.window:
             raise ArgumentError(
                 f"`duration` must be at least the window {short(self.window)}, got {short(stop)}: "
@@ -193,7 +183,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         while len(gaps) < most and (not gaps or time < stop):
             high = self._room(tuple(gaps[: -self.count : -1]))
             low = self.spacing if gaps else 0.0
-            gaps.append(pick(rng, low, max(low, high)))
+            gaps.append(family.pick(rng, low, max(low, high)))
             time += gaps[-1]
         return Schedule.from_gaps(gaps, time_unit=self.time_unit)
 
@@ -204,7 +194,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
     @property
     def levels_of_memory(self) -> int:
         """Gaps further back than count - 1 say nothing."""
-        return sum(1 for kept, _ in GAP_MEMORY if kept <= max(self.count - 1, 1))
+        return sum(1 for kept, _ in family.GAP_MEMORY if kept <= max(self.count - 1, 1))
 
     def steps(self, memory: int, outputs: int) -> Steps:
         """Any k consecutive gaps sum to at most T.
@@ -215,8 +205,10 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             If no endless schedule belongs to the family.
         """
         self._need_endless()
-        wider = OUTWARD * self.window
-        return gap_steps(self.spacing, self.d_max + wider, lambda word: self._room(word) + wider, memory, outputs)
+        wider = family.OUTWARD * self.window
+        return family.gap_steps(
+            self.spacing, self.d_max + wider, lambda word: self._room(word) + wider, memory, outputs
+        )
 
     def _room(self, word: Word) -> float:
         """Longest gap after gaps of at least these lengths (newest first).

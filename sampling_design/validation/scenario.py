@@ -49,11 +49,7 @@ class ScenarioBounds(ErrorSources):
 
     @classmethod
     def of(
-        cls,
-        plant: Plant,
-        w_bound: VectorBound = None,
-        v_bound: VectorBound = None,
-        initial_error: VectorBound = None,
+        cls, plant: Plant, w_bound: VectorBound = None, v_bound: VectorBound = None, initial_error: VectorBound = None
     ) -> ScenarioBounds:
         """Return checked bounds; where None is given, the plant's scales, entry by entry.
 

@@ -97,12 +97,7 @@ class DetectabilityCertificate(VerifiableRecord):
         "errors decay at {eta} 1/{plant.time_unit}, with gains {c_w} of w and {c_y} of y",
         "`.verify()`, `.verify(rigorous=True)`",
     )
-    _table = {
-        "cond P": "{overshoot}",
-        "method": "{method}",
-        "margin": "{margin:3}",
-        "slack": "{verify.amount:down}",
-    }
+    _table = {"cond P": "{overshoot}", "method": "{method}", "margin": "{margin:3}", "slack": "{verify.amount:down}"}
 
     def _rows(self) -> list[tuple[str, str]]:
         return super()._rows() + self.constants.lines()

@@ -23,12 +23,7 @@ from sampling_design.certificates.existence.counterexample import NearestFailure
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import PathCompleteGraph, graph_of, in_plant_terms, unrolled
 from sampling_design.certificates.families.program import FamilyProgram
-from sampling_design.certificates.families.step_proof import (
-    StepOutcome,
-    dynamics_of,
-    edge_conditions,
-    node_conditions,
-)
+from sampling_design.certificates.families.step_proof import StepOutcome, dynamics_of, edge_conditions, node_conditions
 from sampling_design.certificates.families.step_proof import prove as proven_along
 from sampling_design.certificates.form.claims import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.decide import judged_while_sought

@@ -12,16 +12,9 @@ from sampling_design.certificates.detectability.best_rate import detectability_f
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.form.horizon import Constant, ConstantList
+from sampling_design.certificates.paper import observable_case
 from sampling_design.certificates.paper.composition import RATE_SHARE, compose, residual_alone, residual_decay
 from sampling_design.certificates.paper.gain_sweep import best_gain
-from sampling_design.certificates.paper.observable_case import (
-    ProvenWeights,
-    SamplingHypotheses,
-    measure_hypotheses,
-    paper_weights,
-    tightened_weights,
-    within_range,
-)
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations
@@ -61,11 +54,7 @@ class PaperConstants(PlainRecord):
         "a horizon of more than {horizon:up} {plant.time_unit}",
         "`.constants`: each with its formula and its source",
     )
-    _table = {
-        "variant": "{variant}",
-        "lambda": "{lam}",
-        "rate": "{eta} 1/{plant.time_unit}",
-    }
+    _table = {"variant": "{variant}", "lambda": "{lam}", "rate": "{eta} 1/{plant.time_unit}"}
 
     def _rows(self) -> list[tuple[str, str]]:
         return super()._rows() + self.constants.lines()
@@ -248,7 +237,7 @@ def constants_from_proof(
     if split.retained.n_states == 0:
         assert decay is not None
         return _record(plant, schedule, variant, split, residual_alone(decay), None)
-    samples = measure_hypotheses(split.retained, schedule, window, sigma_bar, kappa)
+    samples = observable_case.measure_hypotheses(split.retained, schedule, window, sigma_bar, kappa)
     cap = np.inf if decay is None else RATE_SHARE * decay.eta
     certificate = _detectability(split.retained, variant, samples, cap, gain, Q, detectability)
     proven = _VARIANTS[variant](certificate, samples)
@@ -257,7 +246,7 @@ def constants_from_proof(
     return _record(plant, schedule, variant, split, proven, certificate)
 
 
-_VARIANTS = {"paper": paper_weights, "tightened": tightened_weights}
+_VARIANTS = {"paper": observable_case.paper_weights, "tightened": observable_case.tightened_weights}
 
 
 @checked
@@ -329,7 +318,7 @@ def certify_from_proof(
 def _detectability(
     retained: Plant,
     variant: str,
-    samples: SamplingHypotheses,
+    samples: observable_case.SamplingHypotheses,
     cap: float,
     gain: npt.ArrayLike | None,
     Q: npt.ArrayLike | None,
@@ -347,7 +336,7 @@ def _detectability(
     if gain is not None or Q is not None:
         return detectability_from_proof(retained, gain, Q)
     if variant == "paper":  # no gain can help where this factor alone leaves floating point: no search then
-        within_range("e^{2 Lf t*}", 2 * float(np.linalg.norm(retained.A, 2)) * samples.t_star)
+        observable_case.within_range("e^{2 Lf t*}", 2 * float(np.linalg.norm(retained.A, 2)) * samples.t_star)
     return best_gain(retained, samples.t_star, variant, cap)
 
 
@@ -356,7 +345,7 @@ def _record(
     schedule: Schedule | PeriodicSchedule,
     variant: str,
     split: ModalSplit,
-    proven: ProvenWeights,
+    proven: observable_case.ProvenWeights,
     detectability: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
@@ -368,7 +357,7 @@ def _record(
     )  # fmt: skip
 
 
-def theorem_9(proven: ProvenWeights) -> tuple[Constant, ...]:
+def theorem_9(proven: observable_case.ProvenWeights) -> tuple[Constant, ...]:
     """Noise weight, lambda, horizon and gains of Theorem 9."""
     lam = max(proven.lam, 1.0)
     horizon = 2 * float(np.log(2 * lam)) / proven.eta

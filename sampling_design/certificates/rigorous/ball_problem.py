@@ -13,20 +13,9 @@ from sampling_design.checkers.numbers import exact_inner
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
+from sampling_design.numerics import balls
 from sampling_design.numerics.ball_flow import BallFlow
-from sampling_design.numerics.balls import (
-    Ball,
-    Matrix,
-    ball,
-    cholesky,
-    definite,
-    flint,
-    floats,
-    identity,
-    matrix,
-    stacked,
-    symmetric,
-)
+from sampling_design.numerics.balls import Ball, Matrix, ball, matrix
 from sampling_design.records.arrays import Array, Mask
 
 
@@ -40,7 +29,7 @@ class StatedInequality(NamedTuple):
 
 def positive_definite(name: str, M: Matrix) -> None:
     """Raise Refused unless M is certainly positive definite."""
-    answer = definite(M)
+    answer = balls.definite(M)
     if not answer:
         kind, word = (Refused, "is not") if answer is False else (Undecided, "is not certainly")
         raise kind(f"{name} > 0", f"{name} {word} positive definite")
@@ -49,14 +38,14 @@ def positive_definite(name: str, M: Matrix) -> None:
 def in_units(form: Matrix, sizes: list[Ball]) -> Matrix:
     """A form in units in which entries of the size of `sizes` on its diagonal become 1."""
     roots, n = [(size if size > 0 else ball(1.0)).sqrt() for size in sizes], len(sizes)
-    return stacked([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
+    return balls.stacked([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
 
 
 def proven_slack(M: Matrix, shares: tuple[float, ...]) -> float | None:
     """A proven s >= 0 with M >= s I: the first of these shares of the guessed least eigenvalue that is, or None."""
-    guess = float(np.linalg.eigvalsh(floats(M))[0])
+    guess = float(np.linalg.eigvalsh(balls.floats(M))[0])
     tried = [*((share * guess for share in shares) if guess > 0 else ()), 0.0]
-    return next((slack for slack in tried if definite(M - identity(M.nrows()) * ball(slack))), None)
+    return next((slack for slack in tried if balls.definite(M - balls.identity(M.nrows()) * ball(slack))), None)
 
 
 def dissipation(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, rate: Ball) -> tuple[Matrix, list[Ball]]:
@@ -69,7 +58,7 @@ def dissipation(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, rate
     for i in range(n):
         drifts = sum((abs(A[j, i]) * abs(P[j, i]) for j in range(n)), ball(0.0))
         sizes.append(abs(slope[i, i]) + 2 * drifts + abs(rate * P[i, i]))
-    return stacked(rows), [*sizes, *(Qw[k, k] for k in range(q))]
+    return balls.stacked(rows), [*sizes, *(Qw[k, k] for k in range(q))]
 
 
 class BallWeights:
@@ -78,7 +67,7 @@ class BallWeights:
     def __init__(self, plant: Plant, weights: Weights) -> None:
         self.n, self.p = plant.n, len(plant.C)
         self.A, self.C = matrix(plant.A), plant.C
-        self.P2, R, Qv = symmetric(weights.P2), symmetric(weights.R), symmetric(weights.Qv)
+        self.P2, R, Qv = balls.symmetric(weights.P2), balls.symmetric(weights.R), balls.symmetric(weights.Qv)
         for name, form in (("P2", self.P2), ("R", R), ("Qv", Qv)):
             positive_definite(name, form)
         self.V = R.inv() + Qv.inv()
@@ -93,7 +82,7 @@ class BallWeights:
 
 def noise(G: Array, Qw: Array) -> Matrix:
     """Return G Qw^-1 G', in rational numbers; Qw may be singular where it does not drive the plant."""
-    exact, n = flint().fmpq, G.shape[0]
+    exact, n = balls.flint().fmpq, G.shape[0]
     doubled = [[exact(*x.as_integer_ratio()) for x in row] for row in Qw.tolist()]
     form = [
         [(x + y) / 2 for x, y in zip(row, turned, strict=True)]
@@ -101,7 +90,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
     ]
     drive = [[exact(*x.as_integer_ratio()) for x in column] for column in G.T.tolist()]
     product = exact_inner(drive, form, [[exact(0)] * n for _ in range(n)])
-    return stacked([list(map(flint().arb, row)) for row in product])
+    return balls.stacked([list(map(balls.flint().arb, row)) for row in product])
 
 
 class BallTimes:
@@ -134,21 +123,21 @@ class BallFrame:
     """
 
     def __init__(self, weights: BallWeights, patterns: Iterable[Mask], target: Matrix, inequality: str) -> None:
-        L = cholesky(target)
+        L = balls.cholesky(target)
         if L is None:
             raise Undecided(inequality, f"{inequality}: the left side is not certainly positive definite")
         self.weights, self.n, self.inequality = weights, weights.n, inequality
         self.L, Lt = L, L.transpose()
-        A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2
+        A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * balls.identity(self.n) / 2
         self.flow = BallFlow(A, Lt * weights.S * L)
         self.start = Lt * weights.prior * L
         turned = L.solve(matrix(weights.C).transpose()).transpose().tolist()
         self.rows, self.noises = [], []
         for measured in patterns:
             at = np.flatnonzero(measured).tolist()
-            self.rows.append(stacked([turned[j] for j in at]))
-            self.noises.append(stacked([[weights.V[i, j] for j in at] for i in at]))
-        self.identity = identity(self.n)
+            self.rows.append(balls.stacked([turned[j] for j in at]))
+            self.noises.append(balls.stacked([[weights.V[i, j] for j in at] for i in at]))
+        self.identity = balls.identity(self.n)
 
     def gain(self, Y: Matrix, i: int) -> Matrix:
         """The best gain at sample i, a midpoint: any gain gives a bound, this one hardly more than the least.
@@ -174,7 +163,7 @@ class BallFrame:
         C = self.rows[i]
         CY = C * Y
         variance = CY * C.transpose() + self.noises[i]
-        if not definite(variance):
+        if not balls.definite(variance):
             return None
         made: Matrix = Y - CY.transpose() * variance.solve(CY)
         return made

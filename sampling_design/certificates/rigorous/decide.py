@@ -26,32 +26,13 @@ from sampling_design.certificates.rigorous.dissipation_balls import detectabilit
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.claims import certificate, claim_of
-from sampling_design.checkers.outcome import (
-    BAD_FILE,
-    UNDECIDED,
-    Refused,
-    Undecided,
-    Verdict,
-    WorkLimit,
-    holds,
-    refused,
-)
+from sampling_design.checkers.outcome import BAD_FILE, UNDECIDED, Refused, Undecided, Verdict, WorkLimit, holds, refused
 from sampling_design.checkers.parts import FORMAT, Weights, of_whole_plant
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.balls import (
-    BITS,
-    Matrix,
-    ball,
-    definite,
-    flint,
-    lowered,
-    matrix,
-    precision,
-    raised,
-    symmetric,
-)
+from sampling_design.numerics import balls
+from sampling_design.numerics.balls import Matrix, ball, matrix
 from sampling_design.plants.plant import Plant
 from sampling_design.records import file_io
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
@@ -219,8 +200,8 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
     try:
         content = certificate(dict(data))
     except BadFile as error:
-        flint()
-        return verification(Verdict(BAD_FILE, error.broken, f"the data are no certificate: {error}"), BITS)
+        balls.flint()
+        return verification(Verdict(BAD_FILE, error.broken, f"the data are no certificate: {error}"), balls.BITS)
     return _verified(content, lambda clock: _decided_as(str(data["claim"]), content, clock), budget, work)
 
 
@@ -233,10 +214,10 @@ def _verified(
     content: object, decide: Callable[[Budget], Verdict], budget: float, work: WorkLimit | None
 ) -> Verification:
     """The verdict on content that `decide` finds, or is stopped with."""
-    flint()
+    balls.flint()
     clock = Budget(budget, work=work)
     try:
-        with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
+        with balls.precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
             verdict = of_whole_plant(content, decide(clock))
     except Refused as stop:
         verdict = refused(stop)
@@ -245,7 +226,7 @@ def _verified(
         verdict = Verdict(UNDECIDED, "budget", reason)
     except (np.linalg.LinAlgError, ZeroDivisionError) as error:  # the latter: a ball holds a singular matrix
         verdict = Verdict(UNDECIDED, "guess", f"the guesses in floats broke down ({error})")
-    return verification(verdict, BITS, clock.spent)
+    return verification(verdict, balls.BITS, clock.spent)
 
 
 def _decided_as(claim: str, content: object, clock: Budget) -> Verdict:
@@ -256,7 +237,7 @@ def _decided_as(claim: str, content: object, clock: Budget) -> Verdict:
 
 def targets(weights: Weights) -> list[StatedInequality]:
     """What a file states: target <= Pi(t), its name, and whether for sample starts only; implied ones left out."""
-    P1, P2 = symmetric(weights.P1), symmetric(weights.P2)
+    P1, P2 = balls.symmetric(weights.P1), balls.symmetric(weights.P2)
     lam, lam_samples, margin = weights.lam, weights.lam_samples, weights.margin
     positive_definite("P1", P1)
     share = P2 * (ball(1.0) - ball(RESOLUTION))
@@ -266,11 +247,11 @@ def targets(weights: Weights) -> list[StatedInequality]:
     if not len(weights.P1):
         return []
     needed = [first, second]
-    if definite(first.target - second.target):
+    if balls.definite(first.target - second.target):
         needed = [first]
-    elif definite(second.target - first.target):
+    elif balls.definite(second.target - first.target):
         needed = [second]
-    implied = lam_samples >= lam or any(definite(other.target - third.target) for other in needed)
+    implied = lam_samples >= lam or any(balls.definite(other.target - third.target) for other in needed)
     return needed if implied else [*needed, third]
 
 
@@ -293,7 +274,7 @@ def assumption_7(c: Sampled, clock: Budget) -> Verdict:
 def replays_in_balls(content: Sampled) -> bool:
     """Whether the witness of a certificate on one schedule certainly reaches its ratio."""
     try:
-        with precision(), np.errstate(all="ignore"):
+        with balls.precision(), np.errstate(all="ignore"):
             attained(content, ENDLESS)
     except (Refused, np.linalg.LinAlgError):
         return False
@@ -308,12 +289,12 @@ def attained(c: Sampled, clock: Budget) -> None:
     frame = ScheduleFrame(weights, BallTimes(c.schedule), weights.P2, "witness")
     start, t, stated = c.witness.start, c.witness.t, c.witness.ratio
     x, least = frame.L.transpose() * matrix(c.witness.direction[:, None]), ball(stated) * (1 - ball(REPLAY))
-    for bound in (lowered, raised):
+    for bound in (balls.lowered, balls.raised):
         Y = covariance_bound(frame, start, t, clock, bound)
-        if Y is None or not definite(Y):
+        if Y is None or not balls.definite(Y):
             raise Undecided(frame.inequality, "the window of the witness is lost in rounding")
         ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
-        if ratio >= least and bound is lowered:
+        if ratio >= least and bound is balls.lowered:
             return
     reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
     kind = Refused if ratio < least else Undecided
@@ -362,7 +343,7 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Budget) 
             refute(make, clock)
 
     for bits, inflations in PROPOSALS.items():
-        with precision(bits):
+        with balls.precision(bits):
             windows = BallWindows(make(), clock)
             if windows.start_is_invariant():
                 return 1.0 - windows.reached

@@ -20,19 +20,9 @@ from sampling_design.checkers.cover import judge
 from sampling_design.checkers.families import SUBJECT
 from sampling_design.checkers.family_file import OfFamily
 from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
+from sampling_design.numerics import balls
 from sampling_design.numerics.ball_flow import HALVINGS
-from sampling_design.numerics.balls import (
-    Ball,
-    Matrix,
-    ball,
-    definite,
-    floats,
-    largest,
-    positive_part,
-    rational,
-    spectral,
-    symmetric,
-)
+from sampling_design.numerics.balls import Ball, Matrix, ball
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
@@ -56,7 +46,7 @@ class BallIntervals:
         frame, flow = self.frame, self.frame.flow
         which = None if pattern is None or not any(pattern) else self.patterns.index(pattern)
         start = frame.L.transpose() * P.solve(frame.L)
-        first, length = rational(low), rational(high - low)
+        first, length = balls.rational(low), balls.rational(high - low)
 
         def parts_of(stretch: Stretch) -> list[Stretch]:
             Y, at, length, depth = stretch
@@ -77,19 +67,19 @@ class BallIntervals:
         """A number that Y (after the sample) stays below along `length`."""
         frame, flow = self.frame, self.frame.flow
         end, slope = flow.step(Y, length), ball(1.0)
-        bulge = flow.reach(length) * positive_part(largest(-flow.second(Y)))
+        bulge = flow.reach(length) * balls.positive_part(balls.largest(-flow.second(Y)))
         ends = [Y, end]
         if which is not None:
             K = frame.gain((Y + end) / 2, which)
             ends = [frame.with_gain(part, which, K) for part in ends]
-            slope = spectral(frame.identity - K * frame.rows[which]) ** 2
-        return (largest(ends[0]).max(largest(ends[1])) + slope * bulge).upper()
+            slope = balls.spectral(frame.identity - K * frame.rows[which]) ** 2
+        return (balls.largest(ends[0]).max(balls.largest(ends[1])) + slope * bulge).upper()
 
     def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:
         """Raise Refused if it certainly fails at one time."""
         left = Y if which is None else self.frame.sampled(Y, which)
-        if left is not None and definite(self.frame.identity - left) is False:
-            amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
+        if left is not None and balls.definite(self.frame.identity - left) is False:
+            amount = 1 / float(np.linalg.eigvalsh(balls.floats(left))[-1]) - 1
             reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
             raise Refused(self.name, reason, amount=amount, time=float(at))
 
@@ -99,7 +89,7 @@ def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> Verdic
     graph = c.graph
     judge(c.family, graph)
     weights = BallWeights(c.plant, c.weights)
-    P = [weights.P2, *(symmetric(node) for node in graph.P[1:])]
+    P = [weights.P2, *(balls.symmetric(node) for node in graph.P[1:])]
     for u, node in enumerate(P):
         positive_definite(f"P_{u}", node)
     slack = 1.0

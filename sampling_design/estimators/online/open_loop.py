@@ -33,13 +33,7 @@ class ErrorBounds:
         Why there is no radius; "" where all three are bounded.
     """
 
-    def __init__(
-        self,
-        weights: CostWeights,
-        w_bound: VectorBound,
-        v_bound: VectorBound,
-        initial_error: VectorBound,
-    ):
+    def __init__(self, weights: CostWeights, w_bound: VectorBound, v_bound: VectorBound, initial_error: VectorBound):
         self.weights, self.plant = weights, weights.plant
         self._samples: dict[bytes, float] = {}
         plant = self.plant

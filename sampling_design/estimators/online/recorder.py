@@ -13,12 +13,7 @@ from sampling_design.estimators.online.evidence import REMEMBERED, EstimateAssum
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, SampleBranch
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
-from sampling_design.estimators.online.verdict import (
-    CovariancePrecision,
-    SolveVerdict,
-    passed,
-    represented,
-)
+from sampling_design.estimators.online.verdict import CovariancePrecision, SolveVerdict, passed, represented
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 

@@ -94,11 +94,7 @@ class ScheduleWatch:
     """
 
     def __init__(
-        self,
-        schedule: AnySchedule | SamplingFamily | None,
-        time_unit: str,
-        tolerance: float = 0.0,
-        zero: float = 0.0,
+        self, schedule: AnySchedule | SamplingFamily | None, time_unit: str, tolerance: float = 0.0, zero: float = 0.0
     ):
         if isinstance(schedule, (Schedule, PeriodicSchedule)) and schedule.time_unit not in (None, time_unit):
             schedule = schedule.in_unit(time_unit)

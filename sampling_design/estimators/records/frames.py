@@ -85,7 +85,8 @@ def lines_of(
     frame: object = source
     match source:
         case Series():
-            frame = source.to_frame(_name_of(source, plant))
+            names = plant.outputs.names
+            frame = source.to_frame(names[0] if source.name is None and len(names) == 1 else source.name)
         case Dataset():
             frame = source.to_dataframe()
         case LazyFrame():
@@ -129,11 +130,6 @@ def _in_unit(frame: _PandasFrame | _PolarsFrame, unit: str) -> _PandasFrame | _P
             case _PolarsFrame():
                 frame = frame.with_columns(**spans)
     return frame
-
-
-def _name_of(series: Series, plant: MeasuredPlant) -> object:
-    names = plant.outputs.names
-    return names[0] if series.name is None and len(names) == 1 else series.name
 
 
 def _text(frame: _PandasFrame | _PolarsFrame) -> str:

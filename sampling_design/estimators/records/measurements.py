@@ -16,15 +16,9 @@ import numpy as np
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
 from sampling_design.checkers.strict import is_list, is_text
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.records import measurement_table
 from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series, is_frame, lines_of
-from sampling_design.estimators.records.measurement_table import (
-    MeasuredPlant,
-    date_of,
-    dates_of,
-    held_on,
-    moved_origin,
-    read_table,
-)
+from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index, Mask
@@ -180,7 +174,7 @@ class Measurements(ListRecord[MeasuredRow]):
         """
         by = checks.number("by", by)
         censored = tuple(tuple(each.shifted(by) for each in row) for row in self.censored)
-        zero = moved_origin(self.origin, -by, self.plant.time_unit) if self.origin else ""
+        zero = measurement_table.moved_origin(self.origin, -by, self.plant.time_unit) if self.origin else ""
         return replace(self, times=self.times + by, censored=censored, origin=zero)
 
     def rebased(self, origin: str) -> Measurements:
@@ -193,7 +187,7 @@ class Measurements(ListRecord[MeasuredRow]):
         """
         if not self.origin:
             raise ArgumentError("`origin` can be another one only of measurements with dates: these have none.")
-        here = date_of("`origin`", 0, self.origin)
+        here = measurement_table.date_of("`origin`", 0, self.origin)
         there = date_in("origin", origin, here.tzinfo or UTC)
         moved = self.shifted(passed(there, here).total_seconds() / SECONDS[self.plant.time_unit])
         return replace(moved, origin=zoned_text(there))
@@ -225,7 +219,7 @@ class Measurements(ListRecord[MeasuredRow]):
         ordered = self.in_order()
         within = np.flatnonzero((ordered.times >= start) & (ordered.times <= end))
         censored = tuple(tuple(each for each in ordered.censored[k] if each.within(start, end)) for k in within)
-        u = held_on(ordered.u)[within]
+        u = measurement_table.held_on(ordered.u)[within]
         says = np.isfinite(ordered.y[within]).any(axis=1) | np.isfinite(ordered.u[within]).any(axis=1)
         says |= np.array([bool(row) for row in censored], dtype=bool)
         some = tuple(row for row, kept in zip(censored, says, strict=True) if kept)
@@ -326,7 +320,7 @@ class Measurements(ListRecord[MeasuredRow]):
 
     def _columns(self) -> dict[str, Column]:
         signals = ((self.plant.outputs.names, self.y), (self.plant.inputs.names, self.u))
-        dates = dates_of(self.origin, self.times, self.plant.time_unit)
+        dates = measurement_table.dates_of(self.origin, self.times, self.plant.time_unit)
         cells = {name: values[:, i] for names, values in signals for i, name in enumerate(names)}
         return {**({"time": self.times} if dates is None else {"date": dates}), **cells}
 
@@ -411,7 +405,9 @@ def read_measurements(
     (array([ 0.  , 12.25]), array([4.1, 3.8]))
     """
     where, lines = lines_of(path, plant)
-    table = read_table(where, lines, plant, origin.isoformat() if isinstance(origin, date) else origin, zone)
+    table = measurement_table.read_table(
+        where, lines, plant, origin.isoformat() if isinstance(origin, date) else origin, zone
+    )
     times, y, u = table.arrays()
     censored = tuple(table.censored) if any(table.censored) else ()
     return Measurements(plant, times, y, u, origin=table.origin, assumed_zone=table.assumed_zone, censored=censored)

@@ -7,13 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from sampling_design.observability.sigma_bracket import (
-    NO_STATES,
-    SigmaBracket,
-    coordinates_of,
-    in_balls,
-    rtol_and_seconds,
-)
+from sampling_design.observability import sigma_bracket
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window, starts_tried
@@ -59,7 +53,7 @@ class WindowProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
+class WindowSigma(sigma_bracket.SigmaBracket, TableRecord, CurveRecord):
     """Bounds on the least sigma over all real positions of a window along one schedule.
 
     Attributes
@@ -109,8 +103,8 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     _answers = (
         "the least sigma over every window of {window} {time_unit} along a schedule, from {_since} {time_unit} on",
         "{_grounds}",
-        SigmaBracket._good,
-        SigmaBracket._balls.format(at="`.witness`"),
+        sigma_bracket.SigmaBracket._good,
+        sigma_bracket.SigmaBracket._balls.format(at="`.witness`"),
     )
     _table = {
         "worst window ends": "{witness.position} {time_unit}",
@@ -169,7 +163,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         samples = counted(self.witness.samples.size, "sample")
         where = f"The worst window ends {self.witness.position} {self.time_unit} with {samples}"
         if self.status == "no states":
-            return NO_STATES
+            return sigma_bracket.NO_STATES
         if self.status == "too few samples":
             empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
             return f"{where}, too few for {counted(self.witness.direction.size, 'state')}: sigma is 0.{empty}"
@@ -205,7 +199,7 @@ def checked_pieces(
     Raises ArgumentError if the window does not fit, or a number is out of range.
     """
     length, first = checks.positive("window", window), None if start is None else checks.nonnegative("start", start)
-    return window_pieces(schedule, length, first, late), *rtol_and_seconds(rtol, budget)
+    return window_pieces(schedule, length, first, late), *sigma_bracket.rtol_and_seconds(rtol, budget)
 
 
 def sigma_of_pieces(
@@ -235,7 +229,7 @@ def sigma_of_pieces(
             break
         plant = wider
     seconds = whole.left
-    result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
+    result = record_of(found, rtol, plant.time_unit, sigma_bracket.coordinates_of(plant))
     if pieces.timing_tolerance:
         late = pieces.timing_tolerance
         return _with_tolerance(result, own, found, counted) if own.n_states else replace(result, late=late)
@@ -291,7 +285,7 @@ def _in_balls(
         if witness is not None:
             result = replace(result, lower=witness.sigma, upper=witness.sigma, witness=witness, status="closed")
     proof = prove_window_sigma(plant, schedule, pieces, result.lower, clock.left, rows)
-    result = in_balls(result, proof)
+    result = sigma_bracket.in_balls(result, proof)
     return replace(result, slack=proof.slack) if result.rigorous else result
 
 

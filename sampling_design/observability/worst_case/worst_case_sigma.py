@@ -9,29 +9,16 @@ from functools import partial
 import numpy as np
 
 from sampling_design.errors import ArgumentError
+from sampling_design.observability import sigma_bracket
 from sampling_design.observability.count.functional import part_for
-from sampling_design.observability.sigma_bracket import (
-    NO_STATES,
-    SHARE,
-    SigmaBracket,
-    SigmaDeviations,
-    coordinates_of,
-    in_balls,
-    rtol_and_seconds,
-    uninterrupted,
-)
+from sampling_design.observability.sigma_bracket import SigmaBracket, SigmaDeviations
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.observability.windows.timing import least_observed
 from sampling_design.observability.windows.window_record import MOST_WIDER
+from sampling_design.observability.worst_case import spaced_search
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows, within_periods
-from sampling_design.observability.worst_case.spaced_search import (
-    LEAST_CELLS,
-    MOVES,
-    AttainedSchedule,
-    search_worst,
-    worst_of,
-)
+from sampling_design.observability.worst_case.spaced_search import AttainedSchedule
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.observability.worst_case.spaced_times import has_few_times, prove_by_times
 from sampling_design.plants.functional import rows_counted, wider_beside
@@ -183,7 +170,7 @@ class WorstCaseSigma(SigmaBracket):
         """Say what was proven for the family, which schedule is worst, and why a bracket did not close."""
         f, unit = self.family, self.time_unit
         if self.status == "no states":
-            return NO_STATES
+            return sigma_bracket.NO_STATES
         many = (
             f"{self._counted()}, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}{self._read()}"
         )
@@ -314,8 +301,8 @@ def worst_case_sigma(
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
 
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds, late=late)
-        result = in_balls(result, proof)
-    coordinates = coordinates_of(plant)
+        result = sigma_bracket.in_balls(result, proof)
+    coordinates = sigma_bracket.coordinates_of(plant)
     least = partial(_least, plant, tolerance)
     beside = partial(deviations_of_family, least, family, late, result.lower, left, plant.time_unit)
     return replace(result, family=family, coordinates=coordinates, beside=beside)
@@ -324,7 +311,7 @@ def worst_case_sigma(
 def _least(plant: Plant, rtol: float, family: SpacedWindows, late: TimingTolerance, seconds: float) -> float:
     """Proven sigma of a rule."""
     bracketed = partial(_bracketed, late=late, rtol=rtol, rng=checks.generator(0), progress=None)
-    return uninterrupted(_of_rows(plant, family, seconds, bracketed)[0]).lower
+    return sigma_bracket.uninterrupted(_of_rows(plant, family, seconds, bracketed)[0]).lower
 
 
 def deviations_of_family(
@@ -344,7 +331,7 @@ def deviations_of_family(
     too.
     """
     limit = Budget(seconds)
-    late = asked or TimingTolerance.of(SHARE * family.spacing)
+    late = asked or TimingTolerance.of(sigma_bracket.SHARE * family.spacing)
     wider = sigma if asked else least(family, late, limit.left)
     nearer = family.spacing if asked else family.spacing - late.span
     fewer = family.count - 1
@@ -364,13 +351,13 @@ def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | 
         raise ArgumentError(
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
         )
-    return rtol_and_seconds(rtol, budget)
+    return sigma_bracket.rtol_and_seconds(rtol, budget)
 
 
 def _require_memory(plant: Plant, family: SpacedWindows, late: TimingTolerance) -> None:
     """Refuse a number of samples whose Hessian and tables do not fit into memory, before anything is tried."""
-    k, read = float(family.count), plant.n_outputs * (MOVES + 1 if late else 1)
-    need = 8 * (3 * k * k + k * LEAST_CELLS * (read * plant.n_states + plant.n_states + 4)) / 2**30
+    k, read = float(family.count), plant.n_outputs * (spaced_search.MOVES + 1 if late else 1)
+    need = 8 * (3 * k * k + k * spaced_search.LEAST_CELLS * (read * plant.n_states + plant.n_states + 4)) / 2**30
     if need > MOST_MEMORY:
         raise ArgumentError(
             f"`family` asks for {family.count} samples in a window, which would take {need:.3g} GiB; at most "
@@ -429,16 +416,16 @@ def _proof(
 ) -> tuple[SphereBounds, str]:
     """Both bounds, by the shortest way that the problem allows, and its name."""
     if rows.count * rows.p < rows.n:
-        found = worst_of(rows, np.linspace(0.0, rows.slack, rows.count)[None])
+        found = spaced_search.worst_of(rows, np.linspace(0.0, rows.slack, rows.count)[None])
         return SphereBounds(0.0, found, "too few samples", 0), "fewer measurements than states"
     if rows.slack == 0.0:
-        found = worst_of(rows, np.zeros((1, rows.count)))
+        found = spaced_search.worst_of(rows, np.zeros((1, rows.count)))
         lower = max(0.0, found.sigma - rows.rounding(found.slacks))
         proof = SphereBounds(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
         method = "only one schedule is admissible"
     else:
         budget = Budget(seconds)
-        found = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH))
+        found = spaced_search.search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH))
         if rows.counts_as_zero(found.sigma, found.slacks, found.moves):
             proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unobservable"
         else:

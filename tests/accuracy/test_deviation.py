@@ -94,7 +94,7 @@ DECAYING = np.array([[0.3, 1.0, 0.0], [0.0, 0.45, 0.0], [0.0, 0.0, -0.6]])
     ("A", "C", "G", "known", "endless"),
     [
         (GROWING, np.eye(2), [[0.0], [1.0]], [True, False], True),
-        (GROWING, np.eye(2), [[0.0], [1.0]], [True, False], False),
+        pytest.param(GROWING, np.eye(2), [[0.0], [1.0]], [True, False], False, marks=pytest.mark.long),
         (GROWING, np.eye(2), [[1.0], [1.0]], [False, False], True),
         (TURNING, [[1.0, 0.0], [0.0, 0.0]], [[0.0], [0.0]], [True, True], False),
         (DECAYING, [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [[1.0], [0.0], [0.0]], [False, False, True], True),

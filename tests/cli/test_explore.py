@@ -13,7 +13,7 @@ from sampling_design.errors import ArgumentError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FILES = (EXAMPLES / "plants" / "oscillator.toml", EXAMPLES / "requirements" / "oscillator.toml")
-ENDS = ("--idle", 0.2, "--no-browser")
+ENDS = ("--idle", 0.02, "--no-browser")
 
 
 def test_it_says_its_address(shell):

@@ -248,7 +248,7 @@ def test_functions_of_a_varying_plant_are_followed_within_the_budget(pieces):
 
 def test_gains_over_a_box_end_with_the_budget(pieces):
     """A filter of four hundred periods was run for every cell, thirty-two of them between two looks at the clock."""
-    box = sd.UncertainPlant(OSCILLATOR, [sd.UncertainParameter("k", -0.5, 1.0, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    box = sd.UncertainPlant(OSCILLATOR, [sd.UncertainParameter("k", -0.3, 0.6, A=[[0.0, 0.0], [-1.0, 0.0]])])
     for name in ("update_with_gain", "judged"):
         pieces.of(existence_over_box, name)
     schedule = sd.PeriodicSchedule([2.7])

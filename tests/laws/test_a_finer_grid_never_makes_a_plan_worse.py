@@ -5,6 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import plan as room
+from sampling_design.planning import proven_choice
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import resimulated
@@ -67,14 +68,14 @@ def test_a_search_that_finds_nothing_by_itself_ends_with_what_the_coarser_grid_h
 @pytest.mark.parametrize(("more", "cut"), [(1.0, False), (0.0, True)])
 def test_what_a_coarser_grid_proves_is_not_proven_again(more, cut, monkeypatch):
     """Its times are the same times: so a proof that was cut there is no worse here."""
-    asked, prove = [], room.proven_of
+    asked, prove = [], proven_choice.proven_of
 
     def proving(problem, chosen, work):
         found = prove(problem, chosen, work)
         asked.append((problem.steps, (np.flatnonzero(chosen.any(axis=1)) * (24 // problem.steps)).tolist(), found.cut))
         return found
 
-    monkeypatch.setattr(room, "proven_of", proving)
+    monkeypatch.setattr(proven_choice, "proven_of", proving)
     monkeypatch.setattr(room, "AFTER", ((0.0, more), *room.AFTER[1:]))
     wanted = sd.PlanRequirement({"position": 0.35}, grid=6.4 / 24, **GIVEN)
     best = room._Planning(pose_plan(OSCILLATOR, wanted), 0.05, None).sought()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.observability.worst_case import worst_case_sigma as module
+from sampling_design.observability.worst_case import spaced_search
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 from tests.cases import few
 
@@ -101,14 +101,14 @@ def test_a_proof_in_balls_that_is_interrupted_leaves_what_floats_have_proven():
 def test_however_long_the_search_took_the_proof_has_its_share(monkeypatch):
     import time
 
-    clock, found = [0.0], module.search_worst
+    clock, found = [0.0], spaced_search.search_worst
 
     def slow(*arguments):
         clock[0] += 100.0
         return found(*arguments)
 
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
-    monkeypatch.setattr(module, "search_worst", slow)
+    monkeypatch.setattr(spaced_search, "search_worst", slow)
     assert sd.worst_case_sigma(OSCILLATOR, FEW, budget=60.0).closed
 
 

@@ -127,6 +127,6 @@ def test_a_guaranteed_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
         schedule = sd.PeriodicSchedule.from_times(times[at], requirement.period, outputs=each[at])
         try:
             upper = sd.guaranteed_accuracy(plant, schedule, **bounds).upper
-        except sd.NotDetectableError:
+        except sd.errors.NotDetectableError:
             continue
         assert np.any(upper > tolerances)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,7 +17,7 @@ from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, OTHER_STATES, DetectablePart, known_part, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.balancing import balance
+from sampling_design.numerics.balancing import balance, chain_speed
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.grouping import balanced_schur
@@ -275,19 +274,12 @@ def _question(plant: Plant, bounds: SignalBounds, nodes: Array, period: float) -
     )
 
 
-def _moving_time(plant: Plant, bounds: SignalBounds) -> float:
-    """How soon w moves an output by its noise: the time of integrators, which have no rate of their own."""
-    power, speeds = plant.G * bounds.w, [0.0]
-    for k in range(1, plant.n_states + 1):
-        reached = np.max(np.sum(np.abs(plant.C @ power), axis=1) / bounds.v[0], initial=0.0)
-        speeds.append(float(reached / math.factorial(k)) ** (1 / k))
-        power = plant.A @ power
-    return 1 / max(speeds) if max(speeds) > 0 else 1.0
-
-
 def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: float) -> float:
     """A step over which the filter's fastest error shrinks by about a quarter."""
-    step = _time_constant(plant) if balance(plant.A).speed else _moving_time(plant, bounds)
+    if balance(plant.A).speed:
+        step = _time_constant(plant)
+    else:
+        step = 1 / (chain_speed(plant.A, plant.G * bounds.w, plant.C / bounds.v[0][:, None]) or 1.0)
     for _ in range(SCALINGS):
         system = periodic_system(plant, np.array([step]), _question(plant, bounds, np.zeros(1), step).bounds)
         sample, F = system.samples[0], system.gaps[0].F

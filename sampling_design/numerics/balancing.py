@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -124,3 +125,16 @@ def _depth(driven: Mask) -> Index:
     for _ in range(len(driven)):
         depth = np.max(np.where(driven, 1 + depth[:, None], depth[None, :]), axis=0, initial=0)
     return depth
+
+
+def chain_speed(A: Array, G: Array, C: Array) -> float:
+    """Return max_k |C A^(k-1) G / k!|^(1/k) [1/time], k = 1, ..., n: how soon |w| <= 1 moves an output by one.
+
+    Chains of integrators have no rate of their own: only what drives and what measures them says how fast they are.
+    It is 0 if w moves no output.
+    """
+    power, speed = G, 0.0
+    for k in range(1, len(A) + 1):
+        reached = float(np.max(np.sum(np.abs(C @ power), axis=1), initial=0.0))
+        speed, power = max(speed, (reached / math.factorial(k)) ** (1 / k)), A @ power
+    return speed

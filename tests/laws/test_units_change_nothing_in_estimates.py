@@ -242,3 +242,24 @@ def test_intervals(kind):
                 off = getattr(theirs, end) / units.states - getattr(mine, end)
                 assert mine.contradiction or np.max(np.abs(off) / mine.radii) < RELATIVE, (seed, end)
             assert theirs.verify()
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("time", [1e-6, 60.0, 1e8])
+def test_the_unit_of_time_changes_no_estimate_of_integrators(order, time):
+    """An integrator has no rate of its own: bounds weigh over the time in which w moves an output by its noise."""
+    rng, chain = np.random.default_rng(order), np.diag(np.ones(order - 1), 1)
+    plant = Plant(chain, np.eye(1, order), G=np.eye(order)[:, -1:])
+    ys = rng.normal(size=(GAPS.size, 1))
+
+    def followed_in(units):
+        bounds = {"w_bound": [0.3] * units.disturbances, "v_bound": [0.4] * units.outputs}
+        filtered = KalmanFilter(units.plant(plant), initial_error=np.full(order, 2.0) * units.states, **bounds)
+        return [
+            filtered.update(units.time * t, y * units.outputs) for t, y in zip(np.cumsum(GAPS), ys, strict=True)
+        ]  # fmt: skip
+
+    here = Units(np.ones(order), np.ones(1), np.ones(0), np.ones(1))
+    there = Units(np.ones(order), np.ones(1), np.ones(0), np.ones(1), time)
+    for a, b in zip(followed_in(here), followed_in(there), strict=True):
+        assert same_estimate(a, b, there)

@@ -20,6 +20,7 @@ from sampling_design.certificates.exact.bound_weights import LARGEST, ErrorBound
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.balancing import chain_speed
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
@@ -44,8 +45,9 @@ class CostFunction(Record):
                             + sum e^{-eta(t-tau)}(2|v|^2_Qv + |y - Cx - Du - v|^2_R)
 
     What is left out comes from the certificate. Without certificate and weights each bound of the estimator is one
-    (`weights_from_bounds` at the rate eta, one over the horizon, or the plant's fastest); else they are those of the
-    plant's scales: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), eta = 0.
+    (`weights_from_bounds` at the rate eta, one over the horizon, or the plant's fastest; of integrators alone one over
+    the time in which w moves an output by v); else they are those of the plant's scales: P2 = diag(1/s_x^2),
+    Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), eta = 0.
 
     Parameters
     ----------
@@ -335,7 +337,7 @@ def build_weights(
     theirs = 0.0 if certificate is None else certificate.eta
     rate = checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
     by_hand = certificate is not None or any(key in MATRICES for key in cost.given)
-    own = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    own = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
     known = {} if bounds is None or by_hand else _weighed(plant, bounds, rate or 1 / horizon or own)
     matrices = {}
     for key, diagonal in inverse.items():
@@ -359,6 +361,9 @@ def _weighed(plant: Plant, bounds: ErrorBoundArguments, rate: float) -> dict[str
     read = {name: vector_bound(name, bound, signals[name].names) for name, bound in given.items() if bound is not None}
     usable = {name for name, bound in read.items() if np.all((bound >= 1 / LARGEST) & (bound <= LARGEST))}
     wanted = [read[name] if name in usable else 1.0 for name in signals]
+    if not rate:  # integrators alone
+        w, v = (read[name] if name in usable else signals[name].scales for name in ("w_bound", "v_bound"))
+        rate = chain_speed(plant.A, plant.G * w, plant.C / v.reshape(-1, 1)) or 1.0
     found = weights_from_bounds(plant, rate, *wanted)
     belong = {"P2": "initial_error", "Qw": "w_bound", "R": "v_bound", "Qv": "v_bound"}
     return {key: found[key] for key, name in belong.items() if name in usable}

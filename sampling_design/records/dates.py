@@ -17,8 +17,7 @@ def zoned_date(text: str) -> datetime:
 
     Raises ValueError if it is no such date, ArgumentError if there is no such zone, or its clocks skip or repeat it.
     """
-    if "\0" in text:  # Python reads a date up to it
-        raise ValueError(text)
+    text = text.replace("\0", "?")  # Python reads a date up to a zero byte
     stem, bracket, zone = text.partition("[")
     date = datetime.fromisoformat(stem if zone.endswith("]") else text)
     if not bracket:

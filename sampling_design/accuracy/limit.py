@@ -279,7 +279,7 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
     if balance(plant.A).speed:
         step = _time_constant(plant)
     else:
-        step = 1 / (chain_speed(plant.A, plant.G * bounds.w, plant.C / bounds.v[0][:, None]) or 1.0)
+        step = 1 / (chain_speed(plant.A, plant.G, plant.C, bounds.w, bounds.v[0]) or 1.0)
     for _ in range(SCALINGS):
         system = periodic_system(plant, np.array([step]), _question(plant, bounds, np.zeros(1), step).bounds)
         sample, F = system.samples[0], system.gaps[0].F

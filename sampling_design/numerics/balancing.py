@@ -11,6 +11,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.kept import kept
 
 ROUNDS = 40  # of reweighted least squares: enough for the median of what the couplings ask of the scales
+LARGEST_LOGARITHM = 700.0  # of a double, with room
 FARTHEST = 1000.0  # |log2| of a scale: beyond, numbers end
 
 
@@ -127,14 +128,22 @@ def _depth(driven: Mask) -> Index:
     return depth
 
 
-def chain_speed(A: Array, G: Array, C: Array) -> float:
-    """Return max_k |C A^(k-1) G / k!|^(1/k) [1/time], k = 1, ..., n: how soon |w| <= 1 moves an output by one.
+def chain_speed(A: Array, G: Array, C: Array, w: Array, v: Array) -> float:
+    """Return max_k (|C A^(k-1) G w| / (k! v))^(1/k) [1/time], k = 1, ..., n: how soon w moves an output by v > 0.
 
     Chains of integrators have no rate of their own: only what drives and what measures them says how fast they are.
-    It is 0 if w moves no output.
+    It is 0 if w moves no output. Sizes are summed as logarithms, since powers of A leave the doubles.
     """
-    power, speed = G, 0.0
+    noise = np.broadcast_to(v, len(C))
+    rows, noise = C[noise > 0], np.log(noise[noise > 0])
+    power, total, fastest = G * w, 0.0, -np.inf
     for k in range(1, len(A) + 1):
-        reached = float(np.max(np.sum(np.abs(C @ power), axis=1), initial=0.0))
-        speed, power = max(speed, (reached / math.factorial(k)) ** (1 / k)), A @ power
-    return speed
+        size = float(np.max(np.abs(power), initial=0.0))
+        if size == 0:
+            break
+        power, total = power / size, total + math.log(size)
+        with np.errstate(divide="ignore"):  # the logarithm of what is not moved
+            reached = np.log(np.sum(np.abs(rows @ power), axis=1)) - noise
+        fastest = max(fastest, (total + float(np.max(reached, initial=-np.inf)) - math.lgamma(k + 1)) / k)
+        power = A @ power
+    return math.exp(min(fastest, LARGEST_LOGARITHM))

@@ -23,7 +23,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
-from sampling_design.estimators.gap_flows.cost_weights import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import CostFunction, build_weights
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from tests.benchmarks.baselines import standard_mhe
 from tests.cases import few
@@ -263,3 +263,12 @@ def test_the_unit_of_time_changes_no_estimate_of_integrators(order, time):
     there = Units(np.ones(order), np.ones(1), np.ones(0), np.ones(1), time)
     for a, b in zip(followed_in(here), followed_in(there), strict=True):
         assert same_estimate(a, b, there)
+
+
+@pytest.mark.parametrize(("order", "coupling", "size"), [(3, 1e200, 1.0), (3, 1e-200, 1.0), (1, 1.0, 1e140)])
+def test_integrators_of_any_size_have_weights(order, coupling, size):
+    """Powers of A and quotients of bounds leave the doubles, the weights that rest on them do not."""
+    plant = Plant(np.diag(np.full(order - 1, coupling), 1), np.eye(1, order), G=np.eye(order)[:, -1:])
+    bounds = {"w_bound": [size], "v_bound": [1 / size], "initial_error": np.ones(order)}
+    weights = build_weights(plant, None, CostFunction(), bounds)
+    assert 0 < float(weights.w[0, 0]) < np.inf

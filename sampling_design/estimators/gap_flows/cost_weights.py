@@ -363,7 +363,7 @@ def _weighed(plant: Plant, bounds: ErrorBoundArguments, rate: float) -> dict[str
     wanted = [read[name] if name in usable else 1.0 for name in signals]
     if not rate:  # integrators alone
         w, v = (read[name] if name in usable else signals[name].scales for name in ("w_bound", "v_bound"))
-        rate = chain_speed(plant.A, plant.G * w, plant.C / v.reshape(-1, 1)) or 1.0
+        rate = min(chain_speed(plant.A, plant.G, plant.C, w, v), LARGEST) or 1.0
     found = weights_from_bounds(plant, rate, *wanted)
     belong = {"P2": "initial_error", "Qw": "w_bound", "R": "v_bound", "Qv": "v_bound"}
     return {key: found[key] for key, name in belong.items() if name in usable}

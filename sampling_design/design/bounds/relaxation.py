@@ -229,9 +229,21 @@ def solve_relaxation(
     `rows` are those of samples at `times`, and after them those of fixed ones. Of many states a general solver would
     need gigabytes, and ten times as long.
     """
-    if problem.plant.n_states > MANY_STATES:
-        return _solve_large(problem, times, starts, rows, linear, count, Budget(seconds), tolerance)
-    N = times.size
+    solve = _solve_by_rows if problem.plant.n_states > MANY_STATES else _solve_by_matrices
+    weights, multipliers, t, record = solve(problem, rows, linear, count, seconds, tolerance)
+    Z, _ = feasible_multipliers(problem, multipliers)
+    return Relaxation(times, weights, starts, Z, t / problem.rows.unit, record)
+
+
+_Limits = tuple[Array, Array]  # rows of w, and what they are at most
+_Solution = tuple[Array, Sequence[Array] | Array, float, SolverRecord]  # weights, multipliers, t
+
+
+def _solve_by_matrices(
+    problem: DesignProblem, rows: Array, linear: _Limits, count: float, seconds: float | None, tolerance: float
+) -> _Solution:
+    """By a general solver, which is given every matrix."""
+    N = linear[0].shape[1]
     cost = np.zeros(N + 1)
     cost[-1] = -1.0
     total = np.append(np.ones(N), 0.0)[None, :]
@@ -245,33 +257,25 @@ def solve_relaxation(
         constant = grams[N:].sum(axis=0)
         blocks.append(("psd", np.hstack([-conic_programs.svec(grams[:N]).T, roof]), conic_programs.svec(constant)))
     found = conic_programs.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
-    Z, _ = feasible_multipliers(problem, found.z[2:])
-    weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
-    return Relaxation(times, weights, starts, Z, found.x[-1] / problem.rows.unit, found.record)
+    return np.clip(np.nan_to_num(found.x[:N]), 0.0, None), found.z[2:], found.x[-1], found.record
 
 
-def _solve_large(
-    problem: DesignProblem,
-    times: Array,
-    starts: Array,
-    rows: Array,
-    linear: tuple[Array, Array],
-    count: float,
-    budget: Budget,
-    tolerance: float,
-) -> Relaxation:
-    """The same by `eigenvalue_program`, in which a fixed sample is a choice of its own."""
-    free, fixed = times.size if count > 0 else 0, rows.shape[1] - times.size
+def _solve_by_rows(
+    problem: DesignProblem, rows: Array, linear: _Limits, count: float, seconds: float | None, tolerance: float
+) -> _Solution:
+    """By `eigenvalue_program`, in which a fixed sample is a choice of its own."""
+    N = linear[0].shape[1]
+    free, fixed = N if count > 0 else 0, rows.shape[1] - N
     own = np.append(np.zeros(free), np.arange(1.0, fixed + 1))  # which equation a choice belongs to
     each = np.unique(own)[:, None]
     bounded = np.zeros((linear[1].size, own.size))
     bounded[:, :free] = linear[0][:, :free]
     program = MixedMatrices(
-        rows=rows[:, times.size - free :], first=np.where(own > 0, 1.0, count / max(free, 1)),
+        rows=rows[:, N - free :], first=np.where(own > 0, 1.0, count / max(free, 1)),
         equal=(own == each).astype(float), sums=np.where(each[:, 0] > 0, 1.0, count),
         bounded=bounded, limits=linear[1] + tolerance * np.maximum(np.abs(linear[1]), 1.0), roof=problem.rows.N,
     )  # fmt: skip
-    steps, status = 0, conic_programs.INACCURATE
+    budget, steps, status = Budget(seconds), 0, conic_programs.INACCURATE
     for steps, found in enumerate(brackets(program)):  # noqa: B007
         if found.total - found.t <= tolerance * min(abs(found.t), abs(found.total)):
             status = conic_programs.SOLVED
@@ -281,9 +285,7 @@ def _solve_large(
             continue
         break
     record = SolverRecord("sampling_design", __version__, status, steps, {"tolerance": tolerance})
-    Z, _ = feasible_multipliers(problem, found.Z)
-    weights = np.append(found.x[:free], np.zeros(times.size - free))
-    return Relaxation(times, weights, starts, Z, found.t / problem.rows.unit, record)
+    return np.append(found.x[:free], np.zeros(N - free)), found.Z, found.t, record
 
 
 def feasible_multipliers(problem: DesignProblem, found: Sequence[Array] | Array) -> tuple[Array, float]:

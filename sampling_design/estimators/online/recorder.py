@@ -58,7 +58,7 @@ class Recorder:
             scheduled=scheduled, branch=SampleBranch(),
         )  # fmt: skip
 
-    def estimate(self, node: HistoryNode) -> dict[str, object]:
+    def entries(self, node: HistoryNode) -> dict[str, object]:
         """Return the entries of a node's estimate, with its two flags and, in words, why one is down."""
         sound, note, unbounded = node.sound, node.note, self.bounds.note
         beta = node.beta if sound else np.nan
@@ -97,7 +97,7 @@ class Recorder:
 
     def of_node(self, state: EstimatorState, at: int) -> Estimate:
         """Return the estimate of the node with the number `at`."""
-        return self.proven(state, at, self.estimate(state.nodes[at]))
+        return self.proven(state, at, self.entries(state.nodes[at]))
 
     def predicted(self, state: EstimatorState, at: int, t: float) -> Estimate:
         """Return the estimate at t, open loop from the node with the number `at`."""
@@ -112,7 +112,7 @@ class Recorder:
             t=t, x=freeze(x), Y=freeze(Y), beta=beta, status="predicted", sound=node.stands, own=node.contradiction,
             scheduled=scheduled, engine="", note="", cost=np.nan, window_start=np.nan,
         )  # fmt: skip
-        return self.proven(state, at, self.estimate(ahead))
+        return self.proven(state, at, self.entries(ahead))
 
     def proven(self, state: EstimatorState, at: int, entries: dict[str, object]) -> Estimate:
         """Return an estimate made from the nodes up to one of them, with the evidence for its interval, or centred."""

@@ -30,6 +30,7 @@ MOST_DATES = 8  # that a row of a table lists
 STRETCH = 4000  # samples whose windows are judged at a time: what is held does not grow with the record
 MATCHED = 50_000  # planned samples that are matched at a time, for the same reason
 AROUND = 400  # samples on either side of the worst window of a long record whose windows are shown
+LATE = 100  # planned samples for each one taken that may be missed before the first: more, and clocks differ
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,7 +216,8 @@ def compare_schedule(
     Raises
     ------
     ArgumentError
-        If there are no times, they are not in order, or the plan has no sample in their range.
+        If there are no times, they are not in order, or the plan has no sample in their range; or if an endless plan
+        has so many before them that they seem to count from another date.
 
     Notes
     -----
@@ -237,6 +239,13 @@ def compare_schedule(
     length = checks.positive("window", window)
     taken = Schedule(actual, checks.output_mask("outputs", outputs, actual.size), time_unit=plant.time_unit)
     plan = align(plant, schedule)
+    before_all = len(plan) * (float(actual[0]) - plan.first) / plan.period if plan.endless else 0.0
+    if before_all > LATE * actual.size:
+        raise ArgumentError(
+            f"`times` begin at {moment(actual[0])}, after {before_all:.3g} samples of `schedule`, which counts from "
+            "time 0: do they count from another date? Of a plan that did begin so early, give the part that was due, "
+            "`schedule.between(start, end)`."
+        )
     half_gap = float(plan.gaps.min()) / 2 if plan.gaps.size else 0.0
     planned = plan.between(0.0, float(actual[-1]) + half_gap)
     if not len(planned):

@@ -28,6 +28,7 @@ from .strict import (
     flag,
     is_table,
     is_text,
+    label,
     list_of,
     matrix,
     nonnegative,
@@ -41,7 +42,7 @@ from .strict import (
 MOST_NODES = 2000
 _graph = table({"words": list_of(list_of(number)), "edges": list_of(list_of(anything, 5))})
 _optional = {"A": matrix(), "C": matrix(), "G": matrix()}
-PARAMETER = table({"name": text, "low": number, "nominal": number, "high": number}, _optional)
+PARAMETER = table({"name": label, "low": number, "nominal": number, "high": number}, _optional)
 _side = list_of(or_nothing(number))
 _box = table({"low": _side, "high": _side})
 MODELS: dict[str, Reader] = {

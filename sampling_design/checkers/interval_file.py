@@ -7,7 +7,21 @@ from itertools import pairwise
 import numpy as np
 
 from .parts import AROUND, Plant, misnamed
-from .strict import Array, Tree, flag, list_of, matrix, nonnegative, number, or_nothing, positive, refuse, table, text
+from .strict import (
+    Array,
+    Tree,
+    flag,
+    label,
+    line,
+    list_of,
+    matrix,
+    nonnegative,
+    number,
+    or_nothing,
+    positive,
+    refuse,
+    table,
+)
 
 _numbers = list_of(number)
 _row = table({"row": _numbers, "y": number, "size": nonnegative, "below": flag, "since": or_nothing(number)})
@@ -17,7 +31,7 @@ INTERVAL = table(
     {
         **AROUND,
         "t": number,
-        "rows": table({"names": list_of(text), "units": list_of(text), "matrix": matrix()}),
+        "rows": table({"names": list_of(label), "units": list_of(line), "matrix": matrix()}),
         "lower": list_of(or_nothing(number)),
         "upper": list_of(or_nothing(number)),
         "gains": list_of(matrix()),

@@ -17,6 +17,8 @@ from .strict import (
     Tree,
     anything,
     count,
+    label,
+    line,
     list_of,
     matrix,
     nonnegative,
@@ -51,11 +53,11 @@ TIME_UNITS = ("ms", "s", "min", "h", "d", "wk")
 time_unit = word(*TIME_UNITS)
 SKEW = 1e-12  # entries that differ from their mirror by more, relative to the diagonal, make a matrix not symmetric
 
-SIGNALS = table({"names": list_of(text)}, {"units": list_of(text), "scales": list_of(positive)})
+SIGNALS = table({"names": list_of(label)}, {"units": list_of(line), "scales": list_of(positive)})
 PLANT_TREE: dict[str, Reader] = {
     "format": word(PLANT_FORMAT),
     "matrices": table({"A": matrix(), "C": matrix()}, dict.fromkeys("BDG", matrix())),
-    "name": text,
+    "name": line,
     "time_unit": time_unit,
     **dict.fromkeys(("states", "outputs", "inputs", "disturbances"), SIGNALS),
     "source": table({}, {"citation": text}),

@@ -18,6 +18,7 @@ from .strict import (
     bit,
     is_table,
     is_text,
+    label,
     list_of,
     nonnegative,
     number,
@@ -36,7 +37,7 @@ _details: dict[str, Reader] = {
     "outputs": or_nothing(list_of(list_of(bit))),
     "time_unit": or_nothing(time_unit),
     "origin": or_nothing(text),
-    "output_names": or_nothing(list_of(text)),
+    "output_names": or_nothing(list_of(label)),
 }
 FINITE = table({"kind": word("finite"), "times": list_of(nonnegative)}, _details)
 PERIODIC = table(

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from itertools import islice
 from typing import Any, TypeGuard
+from unicodedata import category
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,14 @@ MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
 NEAR = 0.6  # twice the letters that two words share over all of theirs: from here on one is a slip for the other
 ALIKE = 0.5  # the same of two words that begin alike
 PART = 3  # letters from which on a word that stands in another says that it is meant, and two words begin alike
+CONTROLS = (
+    "Cc",
+    "Zl",
+    "Zp",
+    "Cs",
+)  # Unicode's controls, ends of lines and half letters: no line holds them
+ONE_LINE = "must be one line without control characters"
+NOT_BLANK = "must not be blank"
 LONGEST_NAME = 60  # letters of a name that a sentence repeats
 MOST_LISTED = 12  # names that a sentence lists
 ELSEWHERE: dict[str, list[str]] = {}
@@ -282,6 +291,25 @@ def text(value: object, place: str) -> str:
     if not is_text(value):
         raise refuse(place, f"must be a string, got {printed(value)}")
     return str(value)
+
+
+def is_line(text: str) -> bool:
+    """Whether a text is one line of characters that are written: none that controls a terminal or ends a line."""
+    return not any(category(character) in CONTROLS for character in text)
+
+
+def line(value: object, place: str) -> str:
+    """A text of one line."""
+    if not is_line(found := text(value, place)):
+        raise refuse(place, f"{ONE_LINE}, got {found!r:.60}")
+    return found
+
+
+def label(value: object, place: str) -> str:
+    """A name: a line that is not blank."""
+    if not (found := line(value, place)).strip():
+        raise refuse(place, f"{NOT_BLANK}, got {found!r:.60}")
+    return found
 
 
 def word(*known: str) -> Reader:

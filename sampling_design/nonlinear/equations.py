@@ -44,8 +44,8 @@ class PlantEquations(Record):
 
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
-        for key in ("name", "source"):
-            checks.of_kind(key, getattr(self, key), str, "a string")
+        checks.line("name", self.name)
+        checks.of_kind("source", self.source, str, "a string")
         for key in ("sizes", "signals", "bounds"):
             if not is_table(getattr(self, key)):
                 raise ArgumentError(

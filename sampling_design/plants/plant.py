@@ -63,6 +63,8 @@ class Signals(ListRecord[str]):
         units = ("",) * count if units == () else units
         if units is None or len(units) != count:
             raise ArgumentError(f"`units` must be {count} strings, one per name, got {checks.described(self.units)}.")
+        for unit in units:
+            checks.line("units", unit)
         scales = checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")
@@ -198,8 +200,8 @@ class Plant(Record):
         G = checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
         owned: dict[str, object] = {"A": A, "B": B, "C": C, "D": D, "G": G}
         owned["time_unit"] = check_time_unit("s" if self.time_unit is None else self.time_unit)
-        for key in ("name", "source"):
-            checks.of_kind(key, getattr(self, key), str, "a string")
+        checks.line("name", self.name)
+        checks.of_kind("source", self.source, str, "a string")
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
             owned[key] = signals_of(key, getattr(self, key), size, _PREFIX[key])

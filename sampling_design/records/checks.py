@@ -360,10 +360,18 @@ def entries(name: str, value: object, counts: Collection[int], expected: str) ->
     return value
 
 
+def line(name: str, value: object) -> str:
+    """Return `value` if it is a text of one line. Raises ArgumentError if it is none, or holds control characters."""
+    text = of_kind(name, value, str, "a string")
+    if not strict.is_line(text):
+        raise ArgumentError(f"`{name}` {strict.ONE_LINE}, got {text!r:.60}.")
+    return text
+
+
 def names(name: str, value: object, length: int, prefix: str) -> tuple[str, ...]:
     """Return `value` as a tuple of distinct strings, or `prefix1, prefix2, ...` where it is None.
 
-    Raises ArgumentError if the number is wrong, an entry is no string, or a name occurs twice.
+    Raises ArgumentError if the number is wrong, an entry is no string of one line or blank, or a name occurs twice.
     """
     if value is None:
         return tuple(f"{prefix}{i + 1}" for i in range(length))
@@ -372,6 +380,9 @@ def names(name: str, value: object, length: int, prefix: str) -> tuple[str, ...]
         raise ArgumentError(f"`{name}` must be a list of strings, got {described(value)}.")
     if len(result) != length:
         raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {len(result)}.")
+    for each in result:
+        if not line(name, each).strip():
+            raise ArgumentError(f"`{name}` {strict.NOT_BLANK}, got {each!r:.60}.")
     twice = [v for i, v in enumerate(result) if v in result[:i]]
     if twice:
         raise ArgumentError(f"`{name}` must be distinct, got {twice[0]!r} twice.")

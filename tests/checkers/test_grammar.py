@@ -48,6 +48,8 @@ CASES = [
     (lambda d: d["times"].update(outputs=[[1], [1]]), "0 or 1, each row with a 1"),
     (lambda d: d["plant"]["states"]["names"].pop(), "`plant.states.names` must have a length of 2, got 1"),
     (lambda d: d["plant"]["states"].update(names=["a", "a"]), "`plant.states.names` must be distinct"),
+    (lambda d: d["plant"]["states"].update(names=["a", ""]), "`plant.states.names[1]` must not be blank, got ''"),
+    (lambda d: d["plant"].update(name="a\0"), "`plant.name` must be one line without control characters, got 'a\\x00'"),
     (lambda d: d["plant"]["states"].update(scales=[1.0]), "`plant.states.scales` must have a length of 2, got 1"),
     (lambda d: d["plant"]["matrices"].update(B=[[1.0]]), "`plant.matrices.B` must have shape (2, 1), got (1, 1)"),
     (lambda d: d["plant"]["matrices"].update(D=[[1.0]]), "`plant.matrices.D` must have shape (1, 0), got (1, 1)"),

@@ -301,3 +301,31 @@ def test_a_file_of_an_uncertain_plant_is_refused_with_what_reads_it(tmp_path):
     with pytest.raises(FileFormatError, match=r"of another kind of plant: `UncertainPlant\.read\(path\)` reads it"):
         read_plant(path)
     assert UncertainPlant.read(path).nominal.A[0, 0] == -1.0
+
+
+@pytest.mark.parametrize("suffix", ["py", "toml", "json"])
+def test_a_name_is_one_line_of_any_script_through_every_door(suffix, tmp_path):
+    def given(name):
+        if suffix == "py":
+            return Plant([[0.0]], [[1.0]], states=[name], name=name)
+        tree = {"format": "sampling-design/plant/1", "matrices": {"A": [[0.0]], "C": [[1.0]]}}
+        quoted = json.dumps(name, ensure_ascii=False)
+        path = tmp_path / f"plant.{suffix}"
+        path.write_text(
+            json.dumps({**tree, "name": name, "states": {"names": [name]}})
+            if suffix == "json"
+            else f'format = "{tree["format"]}"\nname = {quoted}\nstates.names = [{quoted}]\n'
+            "matrices.A = [[0.0]]\nmatrices.C = [[1.0]]\n",
+            encoding="utf-8",
+        )
+        return read_plant(path, "s")
+
+    for name in ("Füllstand", "水位", "می\u200cخواهم", "\U0001f469\u200d\U0001f52c", "T\u00a0[°C]", 'a "b" #', "-"):
+        plant = given(name)
+        assert (plant.name, plant.states.names) == (name, (name,))
+    for name in ("a\nb", "a\tb", "\x00", "\x1b[31m", "a\x85", "a\u2028b"):
+        with pytest.raises((ArgumentError, FileFormatError), match="must be one line without control characters"):
+            given(name)
+    for name in ("", " ", "\u3000"):
+        with pytest.raises((ArgumentError, FileFormatError), match="must not be blank"):
+            given(name)

@@ -83,6 +83,8 @@ REFUSED = [
     (checks.names, ("states", [1, 2], 2, "x"), "`states` must be a list of strings, got list"),
     (checks.names, ("states", ["a"], 2, "x"), "`states` must have 2 entries, got 1"),
     (checks.names, ("states", ["a", "a"], 2, "x"), "`states` must be distinct, got 'a' twice"),
+    (checks.names, ("states", ["a", " "], 2, "x"), "`states` must not be blank, got ' '"),
+    (checks.line, ("name", "a\u2028b"), r"`name` must be one line without control characters, got 'a.u2028b'"),
     (
         checks.known_keys,
         ("[x]", ["windw"], ["window", "period"]),

@@ -453,7 +453,7 @@ def test_frames_of_other_libraries_and_classes_are_refused_by_name(given):
 
 
 def test_what_ends_a_line_or_begins_a_comment_in_a_file_is_a_cell_of_a_frame():
-    plant = sd.Plant([[0.0]], [[1.0]], outputs=['# a\n"b"'])
+    plant = sd.Plant([[0.0]], [[1.0]], outputs=['# a "b"'])
     told = r"the frame(: .* in row {0} is not a number: '|, row {0}: cannot be read as cells .a line ends within)"
     for frame in (pandas.DataFrame, lambda columns: _Polars(**columns)):
         given = frame({plant.outputs.names[0]: [1.0, 2.0], "time": [0.5, 1.5]})

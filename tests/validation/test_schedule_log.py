@@ -77,7 +77,7 @@ def test_bad_input_is_refused():
     with pytest.raises(ArgumentError, match="`times` must increase strictly"):
         compare_schedule(PLANT, PLAN, [2.0, 1.0], window=3.0)
     dated = 1.7e9 + np.arange(1.0, 9.0)
-    with pytest.raises(ArgumentError, match=r"`times` begin at 1700000001, after .* samples of `schedule`, which counts"):
+    with pytest.raises(ArgumentError, match=r"`times` begin at 1700000001, after .* samples of `schedule`"):
         compare_schedule(PLANT, PLAN, dated, window=3.0)
     assert compare_schedule(PLANT, PLAN.between(dated[0], dated[-1]), dated, window=3.0).kept
     with pytest.raises(ArgumentError, match="`window` must be positive"):

@@ -20,7 +20,7 @@ from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, WindowStart
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder, SolvedSample
+from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     ROUNDING,
@@ -144,8 +144,7 @@ class KalmanFilter(WindowedEstimator):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
             verdict, note = overflowed(self.weights, state.last, sample, residual, terms)
             x, Y, beta = self.loop.ahead(last, flow, drift)
-            solved = SolvedSample(x, Y, verdict._replace(beta=beta), "filter", note)
-            return self.recorder.node(state, new, solved, begun)
+            return self.recorder.node(state, new, begun, x, Y, verdict._replace(beta=beta), "filter", note)
         # an innovation is the difference of what was read and what was predicted, and has no other margin here
         terms += rounding_energy(self.weights, abs(y) + abs(self.plant.C).dot(abs(x)), x)
         deviation, step, weighted_innovation = root_update(covariance_root(Y), H, innovation)
@@ -159,7 +158,7 @@ class KalmanFilter(WindowedEstimator):
             )
         half, flag = lapack.dtrtri(deviation, 1)
         precision = None if flag else CovariancePrecision.of(Y, half.T)
-        return self.recorder.node(state, new, SolvedSample(x, Y, verdict, "filter", "", past + cost, precision), begun)
+        return self.recorder.node(state, new, begun, x, Y, verdict, "filter", "", past + cost, precision)
 
     def _with_means(self, state: EstimatorState, new: IncomingNode) -> HistoryNode:
         """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""
@@ -190,8 +189,7 @@ class KalmanFilter(WindowedEstimator):
             verdict = verdict._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
         past = 0.0 if first.sample.y is None else first.cost * passed
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
-        solved = SolvedSample(x, Y, verdict, "filter", cost=past + solution.cost)
-        return self.recorder.node(state, new, solved, nodes[0].t)
+        return self.recorder.node(state, new, nodes[0].t, x, Y, verdict, "filter", cost=past + solution.cost)
 
     def _contradiction(
         self, sample: RecordRow, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]

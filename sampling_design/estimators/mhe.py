@@ -22,7 +22,7 @@ from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.evidence import SUSPECTS
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, WindowStart
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder, SolvedSample
+from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim, choose_horizon
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
@@ -260,18 +260,15 @@ class MovingHorizonEstimator(WindowedEstimator):
         t = sample.t
         start = self._start(state, t)
         new = self._limited(self._incoming(state, sample))
-        scheduled = self.claim.fits(state, t, new.mask)
         free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
-        solved, band = self._slid_window(state, start, new) if free else (None, None)
-        if solved is None:
-            solved = self._solved(state, start, new)
-        solved.x.setflags(write=False)
-        node = self.recorder.node(state, new, solved, start.s, scheduled)
+        node, band = self._slid_window(state, start, new) if free else (None, None)
+        if node is None:
+            node = self._solved(state, start, new)
         if band is not None:
             self._histories.keep(node, band)
         return node
 
-    def _solved(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> SolvedSample:
+    def _solved(self, state: EstimatorState, start: WindowStart, new: IncomingNode) -> HistoryNode:
         """Return what the window says, put together and solved as a whole."""
         last, sample, flow, drift, engine, cost = state.last, new.sample, new.flow, new.drift, "", np.nan
         with np.errstate(over="ignore", invalid="ignore"):
@@ -300,7 +297,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             self.loop.refuse_overflow(flow, sample.t, Y)
             verdict = verdict._replace(beta=beta, sound=verdict.sound and verdict.status == "solver failed")
-        return SolvedSample(x, freeze(Y), verdict, engine, note, cost)
+        return self.recorder.node(state, new, start.s, x, freeze(Y), verdict, engine, note, cost)
 
     def _contradiction(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]

@@ -22,10 +22,17 @@ from sampling_design.estimators.constraints.convex_set import all_inside
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, StateBox, WindowStart
+from sampling_design.estimators.online.history import (
+    EstimatorState,
+    HistoryNode,
+    IncomingNode,
+    InputHistory,
+    StateBox,
+    WindowStart,
+)
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
-from sampling_design.estimators.online.recorder import Recorder, SolvedSample
+from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     SolveVerdict,
@@ -128,7 +135,7 @@ class WindowedEstimator(OnlineEstimator):
             y, mask = np.where(measured, y, 0.0), measured.astype(np.float64)
         flow, drift = self.loop.between(state, state.nodes[-1].t, sample.t)
         feedthrough = self._nothing if u is None else self.plant.D @ u
-        return IncomingNode(sample.t, sample, y, mask, feedthrough, flow, drift)
+        return IncomingNode(sample.t, sample, y, mask, feedthrough, flow, drift, self.claim.fits(state, sample.t, mask))
 
     def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
         return self.recorder.of_node(state, node)
@@ -159,32 +166,31 @@ class WindowedEstimator(OnlineEstimator):
         censored = resolved(unread, sample.t, sample.censored, known, self.before, waiting=True)
         return sample._replace(censored=censored)
 
-    def _settled(self, state: EstimatorState) -> EstimatorState:
-        assumed = self.recorder.assumed
-        last = state.nodes[-1]
+    def _settled(self, nodes: tuple[HistoryNode, ...], inputs: InputHistory) -> tuple[HistoryNode, ...]:
+        assumed, last = self.recorder.assumed, nodes[-1]
         if last.limited == -math.inf or assumed is None or not last.stands:
-            return state
-        begun = max(len(state.nodes) - 1 - REMEMBERED, 0)
-        at = next((k for k, node in enumerate(state.nodes) if k > begun and node.waits), None)
+            return nodes
+        begun = max(len(nodes) - 1 - REMEMBERED, 0)
+        at = next((k for k, node in enumerate(nodes) if k > begun and node.waits), None)
         if at is None:
-            return state
-        first, rows = state.nodes[begun], list[RecordRow]()
-        for node in state.nodes[begun if first.number else begun + 1 :]:
+            return nodes
+        first, rows = nodes[begun], list[RecordRow]()
+        for node in nodes[begun if first.number else begun + 1 :]:
             censored = tuple(each.as_read for each in node.sample.censored if each.since is None)
             rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, censored))
-        unread = assumed.unread(first.t, state.inputs)
+        unread = assumed.unread(first.t, inputs)
         proven = censored_together(unread, rows, assumed.noise, self.before)
         if proven is None:
-            return state
+            return nodes
         boxed = first._replace(box=StateBox(proven[0], until=last.t))
-        settled = state._replace(nodes=(*state.nodes[:begun], boxed, *state.nodes[begun + 1 : at]))
+        settled = EstimatorState((*nodes[:begun], boxed, *nodes[begun + 1 : at]), inputs)
         said = {row.t: censored for row, censored in zip(rows, proven[1], strict=True)}
-        for node in state.nodes[at:]:
+        for node in nodes[at:]:
             means = [each for each in node.sample.censored if each.since is not None]
             censored = tuple(sorted((*means, *said[node.t]), key=lambda each: each.output))
             sample = node.sample._replace(censored=censored) if node.waits else self._resolved(settled, node.sample)
             settled = settled._replace(nodes=(*settled.nodes, self._advance(settled, sample)._replace(until=last.t)))
-        return settled
+        return settled.nodes
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)
@@ -278,7 +284,7 @@ class WindowedEstimator(OnlineEstimator):
 
     def _slid_window(
         self, state: EstimatorState, start: WindowStart, new: IncomingNode
-    ) -> tuple[SolvedSample | None, SlidingBand | None]:
+    ) -> tuple[HistoryNode | None, SlidingBand | None]:
         """Return what the window says, from what is remembered of it; None where that is no use or a constraint acts.
 
         And what is remembered now, for the node to come. Numbers that overflow are looked at, so that numpy need not
@@ -322,7 +328,8 @@ class WindowedEstimator(OnlineEstimator):
         if verdict.status == "bounds disproved" and nodes[-1].stands:
             return None, sliding
         sliding.cancelling |= verdict.sound and optimum.above > terms
-        return SolvedSample(optimum.x, optimum.Y, verdict, "banded", "", optimum.cost, optimum.precision), sliding
+        x, Y, precision, cost = optimum[:4]
+        return self.recorder.node(state, new, s, x, Y, verdict, "banded", "", cost, precision), sliding
 
     def _judged(
         self, state: EstimatorState, new: IncomingNode, terms: float, dual: float, held: float = 0.0

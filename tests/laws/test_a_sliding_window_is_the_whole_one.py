@@ -55,10 +55,9 @@ def difference(one, other, least):
     off = [np.max(np.abs(one.x - other.x) / np.maximum(size, SAME * np.abs(other.x)))]
     off.append(np.max(np.abs(one.Y - other.Y) / np.outer(size, size)))
     off.append(abs(one.cost - other.cost) / max(other.cost, 1e-300))
-    found, judged = one.outcome, other.outcome
-    if np.isfinite(judged.beta):
-        off.append(max(found.beta - judged.beta, least - found.beta) / judged.beta)
-    assert found.status == judged.status
+    if np.isfinite(other.beta):
+        off.append(max(one.beta - other.beta, least - one.beta) / other.beta)
+    assert one.status == other.status
     return float(max(off))
 
 

@@ -17,7 +17,7 @@ def resolved(mhe, t):
     start = mhe._start(mhe.state, mhe.state.last.t)
     nothing = np.zeros(PLANT.n_outputs)
     gap = mhe.loop.between(mhe.state, mhe.state.last.t, t)
-    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, *gap))
+    window = mhe._window(mhe.state, start, IncomingNode(t, RecordRow(t), nothing, nothing, nothing, *gap, False))
     return window, mhe._solve(window)
 
 

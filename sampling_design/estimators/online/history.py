@@ -78,7 +78,8 @@ class StateBox(NamedTuple):
 class IncomingNode(NamedTuple):
     """A sample on its way in, as the equations take it: y with 0 where it is missing, the mask of 0 and 1, and D u.
 
-    `flow` and `drift` lead here from the node before; `limits` (2, p) are what C x lies between.
+    `flow` and `drift` lead here from the node before; `scheduled`: everything up to it is on schedule; `limits` (2, p)
+    are what C x lies between.
     """
 
     t: float
@@ -88,6 +89,7 @@ class IncomingNode(NamedTuple):
     feedthrough: Array
     flow: GapFlow
     drift: Array
+    scheduled: bool
     limits: Array | None = None
 
 
@@ -117,11 +119,11 @@ class HistoryNode(NamedTuple):
     sound: bool
     own: Contradiction | None
     drift: Array
+    scheduled: bool
     limits: Array | None
     x: Array
     Y: Array
     beta: float
-    scheduled: bool
     branch: SampleBranch
     window_start: float = np.nan
     number: int = 0
@@ -306,16 +308,17 @@ class EstimatorState(NamedTuple):
                 total = own if total is table.no_drift else total + own
         return total
 
-    def trimmed(self, memory: float, least: int = 0) -> EstimatorState:
-        """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
-        nodes, inputs, first = self.nodes, self.inputs, 0
-        oldest, most = nodes[-1].t - memory, len(nodes) - 1 - least
+    @classmethod
+    def kept(cls, nodes: tuple[HistoryNode, ...], inputs: InputHistory, memory: float, least: int) -> EstimatorState:
+        """Return the state without what lies further back than `memory` and than `least` nodes.
+
+        Save the last node and input before.
+        """
+        first, oldest, most = 0, nodes[-1].t - memory, len(nodes) - 1 - least
         while first < most and nodes[first + 1].t <= oldest:  # most often one
             first += 1
-        if not first:
-            return self
+        if not first or inputs is NO_INPUTS:
+            return EstimatorState(nodes[first:], inputs)
         nodes = nodes[first:]
-        if inputs is NO_INPUTS:
-            return EstimatorState(nodes)
         keep = max(0, inputs.until(nodes[0].t) - 2)
         return EstimatorState(nodes, inputs.since(keep) if keep else inputs)

@@ -23,7 +23,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Sample
-from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputHistory
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
 from sampling_design.estimators.records.measurement_table import LIMITS, MeasuredPlant
 from sampling_design.estimators.records.measurements import Measurements, on_clock
@@ -87,9 +87,10 @@ class OnlineEstimator(Displayable, ABC):
         del state
         return sample
 
-    def _settled(self, state: EstimatorState) -> EstimatorState:
-        """Return a state in which readings of uncertain times say what all of them together tell."""
-        return state
+    def _settled(self, nodes: tuple[HistoryNode, ...], inputs: InputHistory) -> tuple[HistoryNode, ...]:
+        """Return nodes in which readings of uncertain times say what all of them together tell."""
+        del inputs
+        return nodes
 
     @abstractmethod
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
@@ -135,8 +136,8 @@ class OnlineEstimator(Displayable, ABC):
                 return state, self._predict(state, checked.t)
             node = self._advance(state, self._resolved(state, checked))
             # what is settled may rest on more than is kept after it
-            state = self._settled(EstimatorState((*state.nodes, node), state.inputs))
-            state = state.trimmed(self.memory, self.remembered)
+            nodes = self._settled((*state.nodes, node), state.inputs)
+            state = EstimatorState.kept(nodes, state.inputs, self.memory, self.remembered)
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
 
@@ -179,7 +180,8 @@ class OnlineEstimator(Displayable, ABC):
             node = self._advance(replayed, self._resolved(replayed, item))
             node = node._replace(until=replayed.last.until) if replayed.last.until >= node.t else node
             replayed = EstimatorState((*replayed.nodes, node), state.inputs)
-        replayed = self._settled(replayed).trimmed(self.memory, self.remembered)
+        nodes = self._settled(replayed.nodes, state.inputs)
+        replayed = EstimatorState.kept(nodes, state.inputs, self.memory, self.remembered)
         old, new = state.last, replayed.last
         if not (taken or forced) and (proven := old.branch.contradiction(old.number)) is not None:
             new.branch.record(new.number, proven)  # a sample more does not make the others agree

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,18 +17,6 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
 OFF_SCHEDULE = "No a-priori claim: off the certificate's schedule."
-
-
-class SolvedSample(NamedTuple):
-    """State and covariance after a sample, what they are worth, how they were found, Y's precision where known."""
-
-    x: Array
-    Y: Array
-    outcome: SolveVerdict
-    engine: str = ""
-    note: str = ""
-    cost: float = np.nan
-    precision: CovariancePrecision | None = None
 
 
 class Recorder:
@@ -79,20 +66,33 @@ class Recorder:
         }  # fmt: skip
 
     def node(
-        self, state: EstimatorState, new: IncomingNode, solved: SolvedSample, start: float, scheduled: bool = False
+        self,
+        state: EstimatorState,
+        new: IncomingNode,
+        start: float,
+        x: Array,
+        Y: Array,
+        verdict: SolveVerdict,
+        engine: str,
+        note: str = "",
+        cost: float = np.nan,
+        precision: CovariancePrecision | None = None,
     ) -> HistoryNode:
-        """Return the node of a sample, whose window began at `start`; rounding widens the radius."""
-        last, flow, drift, x, Y, verdict = state.nodes[-1], new.flow, new.drift, solved.x, solved.Y, solved.outcome
+        """Return the node of a sample, whose window began at `start`; rounding widens the radius.
+
+        State and covariance after it, what they are worth, how they were found, and Y's precision where known.
+        """
+        last, flow, drift = state.nodes[-1], new.flow, new.drift
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
         loose = max(last.loose, flow.loose)
-        wider, beta, size = represented(Y, led, verdict.beta * (1 + loose), solved.precision)
+        wider, beta, size = represented(Y, led, verdict.beta * (1 + loose), precision)
         Y = Y if wider is Y else freeze(wider)
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
-        return HistoryNode(  # in between: engine, note and cost; status, whether it is sound, what contradicts
-            *new[:5], *solved[3:6], *verdict[1:], *new[6:], x, Y, beta, scheduled,
-            branch=last.branch.after(last.number), window_start=start, number=last.number + 1, held=size, loose=loose,
-            limited=limited,
+        x.setflags(write=False)
+        return HistoryNode(  # in between: status, whether it is sound, what contradicts; drift, limits, schedule
+            *new[:5], engine, note, cost, *verdict[1:], *new[6:], x, Y, beta, last.branch.after(last.number), start,
+            last.number + 1, size, loose, limited,
         )  # fmt: skip
 
     def of_node(self, state: EstimatorState, at: int) -> Estimate:

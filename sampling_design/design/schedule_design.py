@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.count_problem import rival_counts
 from sampling_design.design.problem.design_problem import DesignProblem
-from sampling_design.design.problem.posing import pose
+from sampling_design.design.problem.posing import pose, split_for
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.pbh import unobservable_modes
@@ -184,12 +184,16 @@ class ScheduleDesign(PlainRecord):
         bool
             True where the new proofs carry the stated numbers (to 1e-6 relative) and every constraint holds.
         """
-        if self.schedule is None:
-            return self.split.retained.n_states == 0
-        if self.bound is None or not is_admissible(self.problem, self.schedule.times) or not self._is_affordable():
+        mine = split_for(self.plant, self.requirement)
+        retained, same = designed_plant(mine), mine.plant.same_dynamics(self.split.plant)
+        if not same or not retained.same_dynamics(designed_plant(self.split)):
             return False
-        same = 0.001 if self.window is None else self.window.rtol
-        proof = prove(self.split, self.schedule, self.requirement, same if rtol is None else rtol)
+        if self.schedule is None:
+            return retained.n_states == 0 and min(self.sigma, self.sigma_attained, self.upper_bound) == np.inf
+        if self.bound is None or not self._is_admissible() or not self._is_affordable():
+            return False
+        width = 0.001 if self.window is None else self.window.rtol
+        proof = prove(mine, self.schedule, self.requirement, width if rtol is None else rtol)
         holds = self.sigma * (1 - 1e-6) <= proof.lower <= self.sigma_attained * (1 + 1e-6)
         return holds and self._bounds_hold()
 
@@ -218,6 +222,15 @@ class ScheduleDesign(PlainRecord):
         else:
             rest = []
         return max([self.bound.value_for(self.problem), *rest]) <= self.upper_bound * (1 + 1e-6)
+
+    def _is_admissible(self) -> bool:
+        """Whether the schedule keeps period, counts, spacing, forbidden and fixed times."""
+        assert self.schedule is not None
+        wanted, many, period = self.requirement.samples, len(self.schedule), self.problem.period
+        low, high = (wanted.get("exactly", wanted.get(key, many)) for key in ("at_least", "at_most"))
+        counts = low <= many <= high or self.requirement.target_sigma is not None
+        same = bool(np.isclose(self.schedule.period, period, rtol=1e-12))
+        return counts and same and is_admissible(self.problem, self.schedule.times)
 
     def _is_affordable(self) -> bool:
         """Whether the schedule measures only what is available, within the cost limit."""

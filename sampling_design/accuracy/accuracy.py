@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket, AccuracyProfile
+from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket, AccuracyProfile, panel_edges, proven_row
 from sampling_design.accuracy.between_samples import RowSearch, speed_of
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.accuracy.deviation import StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.results_out import SAME
-from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.timing import moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
@@ -277,29 +275,6 @@ def _witness(
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 
 
-def _edges(question: AccuracyQuestion, system: SampledSystem | None, found: RowSearch | None) -> Array:
-    """Where the panels of a profile begin and end: those of any row, or the gaps where no row is bounded."""
-    if system is None or found is None:
-        return np.append(question.nodes, question.end)
-    grids = [question.time_of(system, j) + opened.d for j, opened in found.opened.items()]
-    last = question.end if question.initial is not None else float(grids[0][0] + question.end - question.nodes[0])
-    return np.concatenate([*(d[:-1] for d in grids), [last]])
-
-
-def _at_samples(question: AccuracyQuestion, system: SampledSystem, found: RowSearch) -> Array:
-    """What gains prove at each node once all results of its sample are in."""
-    begins = np.array([question.time_of(system, j) + opened.d[0] for j, opened in found.opened.items()])
-    comes = question.comes_after
-    complete = question.nodes + np.where(np.isfinite(comes), comes, 0.0).max(axis=1, initial=0.0)
-    period, first = question.end - question.nodes[0], begins[0]
-    tiny = SAME * period
-    if question.initial is None:
-        complete = first + np.mod(complete - first + tiny, period) - tiny
-    nodes = [each[0] for each in found.nodes.values()]
-    at = np.searchsorted(begins, complete - tiny)
-    return np.array([nodes[k] if k < len(nodes) else np.inf for k in at.tolist()])
-
-
 def _record(
     question: AccuracyQuestion,
     rows: RequestedRows,
@@ -311,7 +286,7 @@ def _record(
 ) -> Accuracy:
     """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
-    edges = _edges(question, None if finder is None else finder.system, next(iter(found.values()), None))
+    edges = panel_edges(question, None if finder is None else finder.system, next(iter(found.values()), None))
     unknown = np.array([known.at_rest(row) for row in rows.matrix])
     lower, upper, worst = unknown.copy(), unknown.copy(), np.full(count, times[0])
     closed, offsets = np.ones(count, dtype=bool), np.zeros(count)
@@ -324,11 +299,10 @@ def _record(
         assert finder is not None
         limit = finder.budget.share(1 / (len(found) - done))
         again = finder.opened(search.row, search.opened)  # with what was found for the rows after it
-        at_samples[k] = _at_samples(question, finder.system, again)
-        above[k] = np.concatenate(list(again.panels.values()))
+        at_samples[k], above[k], known_from[k] = proven_row(question, finder.system, again)
         side, searched = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
         below[k] = np.concatenate([side.below(searched, j)[:-1] for j in searched.opened])
-        if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
+        if np.isinf(at_samples[k]).all() and np.isinf(above[k]).all():
             continue
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         moves = side is planned and known.is_whole
@@ -339,9 +313,6 @@ def _record(
             worst[k] -= max(0.0, np.ceil(worst[k] / (question.end - times[0]) - 1)) * (question.end - times[0])
         offsets[k] = finder.offset(again, j, offset)
         closed[k] = (search.closed and search.idle) or upper[k] <= (1 + rtol) * witness.value
-        open_ends = np.flatnonzero(np.isinf(above[k]))
-        late = open_ends[-1] + 1 if open_ends.size else 0
-        known_from[k] = -np.inf if plain else edges[late] if late < edges.size - 1 else np.inf
     if finder is not None:
         proof = tuple(
             GapProof(j, freeze(a.mu), tuple(g.gains for g in a.gains)) for j, a in enumerate(finder.directions)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.accuracy.between_samples import RowSearch
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.accuracy.projection import Projection, project_rows
 from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.results_out import SAME
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.timing import KEPT_ROOM, added, is_enough, keeps_times
 from sampling_design.accuracy.undetectable import DetectablePart, modes_with
@@ -62,6 +66,45 @@ class AccuracyProfile:
         return AccuracyProfile(
             freeze(edges), freeze(np.tile(self.lower, count)), freeze(np.tile(self.upper, count)), times
         )
+
+
+class ProvenRow(NamedTuple):
+    """What gains prove of one row (N,) at nodes, (M,) on panels, and from when on it is known."""
+
+    at_samples: Array
+    panels: Array
+    known_from: float
+
+
+def panel_edges(question: AccuracyQuestion, system: SampledSystem | None, found: RowSearch | None) -> Array:
+    """Where the panels of a profile begin and end: those of any row, or the gaps where no row is bounded."""
+    if system is None or found is None:
+        return np.append(question.nodes, question.end)
+    grids = [question.time_of(system, j) + opened.d for j, opened in found.opened.items()]
+    last = question.end if question.initial is not None else float(grids[0][0] + question.end - question.nodes[0])
+    return np.concatenate([*(d[:-1] for d in grids), [last]])
+
+
+def proven_row(question: AccuracyQuestion, system: SampledSystem, found: RowSearch) -> ProvenRow:
+    """What gains prove of a row: at each node once all results of its sample are in, and along the panels."""
+    edges = panel_edges(question, system, found)
+    begins = np.array([question.time_of(system, j) + opened.d[0] for j, opened in found.opened.items()])
+    comes = question.comes_after
+    complete = question.nodes + np.where(np.isfinite(comes), comes, 0.0).max(axis=1, initial=0.0)
+    period, first = question.end - question.nodes[0], begins[0]
+    tiny = SAME * period
+    if question.initial is None:
+        complete = first + np.mod(complete - first + tiny, period) - tiny
+    nodes = [each[0] for each in found.nodes.values()]
+    at = np.searchsorted(begins, complete - tiny)
+    at_samples = np.array([nodes[k] if k < len(nodes) else np.inf for k in at.tolist()])
+    panels = np.concatenate(list(found.panels.values()))
+    late = int(np.max(np.flatnonzero(np.isinf(panels)), initial=-1)) + 1
+    if question.initial is None:
+        known_from = -np.inf if np.isfinite(at_samples).any() or np.isfinite(panels).any() else np.inf
+    else:
+        known_from = float(edges[late]) if late < panels.size else np.inf
+    return ProvenRow(at_samples, panels, known_from)
 
 
 class AccuracyBracket(TableRecord, PlainRecord):
@@ -178,7 +221,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return project_rows(question, first, second, t, directions, back, deep)
 
     def verify(self, rigorous: bool = False) -> bool:
-        """Whether both sides hold, recomputed from gains and witnesses without a solver.
+        """Whether both sides hold, at samples and over time too, recomputed from gains and witnesses without a solver.
 
         rigorous : bool
             In ball arithmetic (extra `rigorous`): True is then a theorem about the doubles of this record; False
@@ -201,7 +244,11 @@ class Accuracy(AccuracyBracket, CurveRecord):
                     "numerically. Leave it out."
                 )
             return known.is_whole and self._proven(asked)
-        return self._upper_holds(asked, known) and all(self._lower_holds(k, known) for k in range(len(self.rows)))
+        bounded = {k for k, row in enumerate(self.rows.matrix) if known.plant.n_states and not known.touches(row)}
+        search = self._reopened(asked, known) if bounded else None
+        if not self.question.fits_schedule() or (bounded and search is None):
+            return False
+        return all(self._holds(k, known, search if k in bounded else None) for k in range(len(self.rows)))
 
     def _proven(self, asked: AccuracyQuestion) -> bool:
         """Both sides in ball arithmetic."""
@@ -214,36 +261,50 @@ class Accuracy(AccuracyBracket, CurveRecord):
         )
         return below and proven_above(system, self.rows.matrix, self.upper, self.proof)
 
-    def _upper_holds(self, asked: AccuracyQuestion, known: DetectablePart) -> bool:
-        lost = np.array([known.touches(row) for row in self.rows.matrix], dtype=bool)
-        if not np.all(np.isinf(self.upper[lost])):
-            return False
-        if lost.all() or not known.plant.n_states:
-            return True
+    def _reopened(self, asked: AccuracyQuestion, known: DetectablePart) -> GainSearch | None:
+        """The gains of the proof evaluated anew; None where they do not stand for all times that samples may have."""
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
         search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
         for part in self.proof:
             found = [search.evaluate(part.sample, *each) for each in zip(part.directions, part.gains, strict=True)]
             directions = search.directions[part.sample]
             directions.mu, directions.gains = part.directions, found  # all of them, as when they bounded the rows
-        if asked.timing_tolerance and (noise is None or not is_enough(noise, added(search, asked, known), KEPT_ROOM)):
-            return False
-        tops = []
-        for k in np.flatnonzero(~lost):
-            opened = search.opened(self.rows.matrix[k] @ known.lift)
-            open_ends = not any(np.isfinite(nodes).any() for nodes in opened.nodes.values())
-            tops.append(np.inf if open_ends else search.top(opened)[0])
-        return bool(np.all(tops <= self.upper[~lost] * (1 + KEPT)))
+        enough = noise is not None and is_enough(noise, added(search, asked, known), KEPT_ROOM)
+        return search if enough or not asked.timing_tolerance else None
 
-    def _lower_holds(self, k: int, known: DetectablePart) -> bool:
-        witness = self.witnesses[k]
-        if witness is None:
-            return known.touches(self.rows.matrix[k]) or self.lower[k] == 0 or self.question.initial is not None
-        if not keeps_times(witness, self.question):
+    def _holds(self, k: int, known: DetectablePart, search: GainSearch | None) -> bool:
+        """Whether both sides of a row hold, over time too; without a search only what is known at rest is."""
+        row, asked, profile = self.rows.matrix[k], self.question.primitive(), self.profile
+        count, rest, edges = len(self.question.nodes) // len(asked.nodes), known.at_rest(row), profile.edges
+        proven, top = ProvenRow(np.full(len(asked.nodes), rest), np.array([rest]), np.inf if rest else -np.inf), rest
+        if search is not None:
+            opened = search.opened(row @ known.lift)
+            proven, edges = proven_row(asked, search.system, opened), panel_edges(asked, search.system, opened)
+            edges = AccuracyProfile(edges, edges, edges, asked.nodes).repeated(self.question.nodes).edges
+            if any(np.isfinite(nodes).any() for nodes in opened.nodes.values()):
+                top = search.top(opened)[0]
+        if edges.shape != profile.edges.shape or not np.allclose(edges, profile.edges, rtol=SAME, atol=0):
             return False
-        asked = self.question.primitive()
+        sides = (
+            (top, self.upper[k]),
+            (np.tile(proven.at_samples[asked.samples], count), self.at_samples[k]),
+            (np.tile(proven.panels, count), profile.upper[k]),
+            (profile.lower[k], profile.upper[k]),
+        )
+        upper = all(bool(np.all(low <= high * (1 + KEPT))) for low, high in sides)
+        nothing = bool(np.isinf(proven.at_samples).all() and np.isinf(proven.panels).all())
+        return upper and proven.known_from <= self.known_from[k] and self._attained(k, known, rest if nothing else 0.0)
+
+    def _attained(self, k: int, known: DetectablePart, rest: float) -> bool:
+        """Whether the lower side of a row is what its witness, of this question, attains, or at rest."""
+        witness, asked = self.witnesses[k], self.question.primitive()
+        if witness is None:
+            return bool(self.lower[k] <= rest)
+        mine = np.array_equal(witness.row, self.rows.matrix[k] @ known.lift)
+        if not (mine and known.plant.same_dynamics(witness.plant) and keeps_times(witness, self.question)):
+            return False
         value, excess = attains(witness, asked.bounds, asked.initial, asked.gaps)
-        return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
+        return excess <= 1 + KEPT and value >= max(self.lower[k], witness.value * (1 - KEPT)) * (1 - KEPT)
 
     _answers = (
         "the least error that an estimator can guarantee along a schedule, at the worst time",

@@ -186,11 +186,13 @@ class Interval(TableRecord, PlainRecord):
             millionth; those of the gains alone where an ellipsoid is tighter).
         """
         if self.cases:
-            return all(case.verify(rigorous) for case in self.cases) and _holds_all(self, self.cases)
+            mine = all(case.t == self.t and np.array_equal(case.rows.matrix, self.rows.matrix) for case in self.cases)
+            return mine and all(case.verify(rigorous) for case in self.cases) and _holds_all(self, self.cases)
         if rigorous:
             return self.verify() and verdict(self._sealed()).passed
         if self.disproof is not None:
-            return bool(np.isnan(self.upper).all()) and self.disproof.verify()
+            nothing = np.isnan(self.lower).all() and np.isnan(self.upper).all()
+            return bool(nothing) and replace(self.disproof, readings=self.readings).verify()
         program = program_of(self.readings, self.scales)
         ends = np.array([self.lower, self.upper]).T
         for k, row in enumerate(self.rows.matrix):

@@ -102,11 +102,9 @@ class AccuracyLimit(TableRecord, PlainRecord):
                 if not (lost or lower == 0):
                     return False
                 continue
-            same = np.array_equal(trajectory.plant.A, known.plant.A) and np.array_equal(
-                trajectory.row, row @ known.lift
-            )
+            same = known.plant.same_dynamics(trajectory.plant) and np.array_equal(trajectory.row, row @ known.lift)
             value, excess = _kept(trajectory, phase, self.bounds, self.zones, self.period)
-            if lost or not same or excess > 1 + KEPT or value < lower * (1 - KEPT):
+            if lost or not same or excess > 1 + KEPT or value < max(lower, trajectory.value) * (1 - KEPT):
                 return False
         return True
 

@@ -130,6 +130,24 @@ class AccuracyQuestion:
         end = self.end + by * (self.initial is None)
         return replace(self, nodes=freeze(nodes), end=end, timing_tolerance=replace(late, moved=late.moved + by))
 
+    def fits_schedule(self) -> bool:
+        """Whether its nodes are the samples of the schedule, where these are looked at, and measure no more."""
+        times, mask = self.schedule.times + self.timing_tolerance.shift, self.schedule.outputs
+        end = float(times[0] + self.schedule.period) if self.schedule.endless else self.end
+        planned, mine = np.append(times, end), np.append(self.nodes[self.samples], self.end)
+        measured = np.isfinite(self.bounds.v[self.samples])
+        less = mask is None or not np.any(measured & ~mask)
+        return less and bool(np.all(np.abs(mine - planned) <= 4 * np.spacing(np.abs(planned).max())))
+
+    def is_same(self, other: AccuracyQuestion) -> bool:
+        """Whether both ask the same of the same dynamics."""
+        mine, theirs = (
+            [q.nodes, q.end, q.result_delay, *vars(q.bounds).values(), *vars(q.initial or q.bounds).values()]
+            for q in (self, other)
+        )
+        alike = self.plant.same_dynamics(other.plant) and self.timing_tolerance == other.timing_tolerance
+        return alike and all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
     def noisier(self, noise: Array | None) -> AccuracyQuestion:
         """The same question with so much more noise (N, p)."""
         return self if noise is None else replace(self, bounds=replace(self.bounds, v=freeze(self.bounds.v + noise)))

@@ -75,7 +75,14 @@ class AccuracyByCount(TableRecord, PlainRecord):
         return all(bool(np.all(found.closed)) for found in self.accuracies)
 
     def verify(self) -> bool:
-        """Whether both sides of every count hold, recomputed without a solver."""
+        """Whether each is of so many samples of one plant, and both its sides hold, recomputed without a solver."""
+        last = self.accuracies[-1].question
+        for k, found in zip(self.counts, self.accuracies, strict=True):
+            asked, plant = found.question, last.plant if k else remade(last.plant, C=0 * last.plant.C)
+            even = np.array_equal(asked.schedule.gaps, [self.period / max(k, 1)])
+            mine = np.array_equal(found.rows.matrix, self.rows.matrix) and np.array_equal(asked.bounds.w, last.bounds.w)
+            if not (even and mine and plant.same_dynamics(asked.plant)):
+                return False
         return all(found.verify() for found in self.accuracies)
 
     def _columns(self) -> Mapping[str, Column]:

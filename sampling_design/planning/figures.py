@@ -23,7 +23,7 @@ from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import requested_rows
+from sampling_design.plants.rows import RequestedRows, requested_rows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import PlainRecord, TableRecord, above
@@ -139,8 +139,8 @@ class PlanStart(PlainRecord):
         return f"Once the plan is started, {self.since()} ({above(self.ratio, 3)} of each)."
 
 
-def accuracy_of(problem: PlanProblem, chosen: Mask, work: Budget | None = None) -> Accuracy | None:
-    """The accuracy of a choice's goals that are guaranteed, as far as work lasts; None if it has none."""
+def accuracy_question(problem: PlanProblem, chosen: Mask) -> tuple[AccuracyQuestion, RequestedRows] | None:
+    """What is asked of a choice for the goals that are guaranteed, and their rows; None if it has none."""
     rows = [goal.row for goal in problem.goals if not goal.stochastic]
     if not rows:
         return None
@@ -155,10 +155,19 @@ def accuracy_of(problem: PlanProblem, chosen: Mask, work: Budget | None = None) 
     }
     late, plant = problem.timing_tolerance, problem.plant
     question = AccuracyQuestion.of(plant, align(plant, schedule), problem.requirement.w_bound, v, late=late)
+    return question, requested_rows(plant, np.array(rows))
+
+
+def accuracy_of(problem: PlanProblem, chosen: Mask, work: Budget | None = None) -> Accuracy | None:
+    """The accuracy of a choice's goals that are guaranteed, as far as work lasts; None if it has none."""
+    asked = accuracy_question(problem, chosen)
+    if asked is None:
+        return None
+    question, rows = asked
     if question.is_late:
         refuse_tolerance(question, False)
     work = work or Budget()
-    found = answer_of(question, requested_rows(plant, np.array(rows)), RTOL, work)  # about the middles
+    found = answer_of(question, rows, RTOL, work)  # about the middles
     if work.stopped:
         raise KeyboardInterrupt  # who asked holds other choices, whose proofs are whole
     return found

@@ -19,7 +19,7 @@ from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.disturbed import robustness_holds, start_holds
 from sampling_design.planning.evidence import bound_holds, broken_below, proof_to_dict, trajectory_to_dict
-from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.figures import PlanFigures, accuracy_question
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.sampling_sheet import write_form, write_sheet
@@ -213,14 +213,8 @@ class Plan(PlanFigures):
         problem = self.problem
         if not problem.is_admissible(self.chosen):
             return False
-        if self.accuracy is not None and not (
-            self.accuracy.question.timing_tolerance == problem.timing_tolerance and self.accuracy.verify()
-        ):
+        if not self._proofs_hold(problem):
             return False
-        if self.deviation is not None:
-            anew = deviation_of(problem, self.chosen)
-            if anew is None or not np.allclose(anew.worst, self.deviation.worst, rtol=SAME, atol=0):
-                return False
         mine = reached(problem, self.chosen, self.accuracy, self.deviation)
         if not np.allclose(mine, self.reached, rtol=SAME, atol=0):
             return False
@@ -231,6 +225,25 @@ class Plan(PlanFigures):
         # where the least cost is sought, that is the limit: rivals need not keep the requirement's own
         limited = loose if problem.requirement.aim == "cheapest" else CoveringRows(problem, fixed=free)
         return bound_holds(self.bound, loose, limited, discretize(problem), ends, most)
+
+    def _proofs_hold(self, problem: PlanProblem) -> bool:
+        """Whether accuracy and standard deviations are those of the choice, for the goals that want them."""
+        asked, anew = accuracy_question(problem, self.chosen), deviation_of(problem, self.chosen)
+        if (asked is None) != (self.accuracy is None) or (anew is None) != (self.deviation is None):
+            return False
+        if asked is not None and self.accuracy is not None:
+            question, rows = asked
+            mine = np.array_equal(rows.matrix, self.accuracy.rows.matrix) and self.accuracy.question.is_same(question)
+            if not mine or not self.accuracy.verify():
+                return False
+        if anew is None or self.deviation is None:
+            return True
+        pairs = [(getattr(anew, key), getattr(self.deviation, key)) for key in ("worst", "mean", "times", "profile")]
+        return (
+            anew.plant.same_dynamics(self.deviation.plant)
+            and np.array_equal(anew.rows.matrix, self.deviation.rows.matrix)
+            and all(a.shape == b.shape and np.allclose(a, b, rtol=SAME, atol=0) for a, b in pairs)
+        )
 
     def _extras_hold(self) -> bool:
         """Whether certificate, start and robustness are of this plan, and proven anew."""

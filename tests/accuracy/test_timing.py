@@ -197,7 +197,7 @@ def test_too_little_noise_and_times_beyond_the_tolerance_are_not_proven():
     assert not replace(found, question=tight).verify()
     exact = uneven(0.0)
     longer = replace(exact.question, nodes=exact.question.nodes * 0.99)  # a witness at other times than the schedule's
-    assert not replace(exact, question=longer, upper=exact.upper * 2)._lower_holds(0, exact.question.known())
+    assert not replace(exact, question=longer, upper=exact.upper * 2)._attained(0, exact.question.known(), 0.0)
 
 
 @pytest.mark.long

@@ -1,0 +1,135 @@
+"""What a record says, what proves it and what both are about belong together: whoever edits one of them is refused."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    PeriodicSchedule,
+    PlanRequirement,
+    Plant,
+    Requirement,
+    Schedule,
+    design_schedule,
+    guaranteed_accuracy,
+    plan_samples,
+    state_interval,
+)
+from sampling_design.accuracy import accuracy_by_count, accuracy_limit
+
+PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], time_unit="h")
+READ = [[True, False], [True, True], [True, False]]
+BOUNDS = {"w_bound": 0.02, "v_bound": 0.1}
+
+
+@cache
+def endless():
+    return guaranteed_accuracy(PLANT, PeriodicSchedule([1.0, 0.6, 1.4], outputs=READ), rtol=0.1, **BOUNDS)
+
+
+@cache
+def finite():
+    return guaranteed_accuracy(PLANT, Schedule([0.5, 1.0, 2.5], outputs=READ), end=3.0, rtol=0.1, **BOUNDS)
+
+
+@cache
+def by_count():
+    return accuracy_by_count(Plant([[-0.1]], [[1.0]]), (0, 1, 4), period=8.0, **BOUNDS)
+
+
+@cache
+def limit():
+    return accuracy_limit(PLANT, **BOUNDS)
+
+
+def record(y):
+    return [(0.0, [1.0, 0.0], None), (0.7, [y, -0.6], None)]
+
+
+@cache
+def disproven():
+    return state_interval(PLANT, record(5.0), **BOUNDS)
+
+
+@cache
+def design():
+    wanted = Requirement(window=6.0, period=6.0, spacing=0.3, samples={"exactly": 3}, forbidden=[[0.0, 1.0]])
+    return design_schedule(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), wanted, starts=1, branches=0)
+
+
+def plan_for(noise):
+    sensor = {"noise_bound": noise, "noise_deviation": noise / 2}
+    goals = {"a": 0.6, "b": {"tolerance": 0.5, "kind": "standard deviation"}}
+    wanted = PlanRequirement(
+        goals, period=6.0, grid=1.0, w_bound=0.02, w_intensity=0.02, sensors={"y1": sensor}, samples=3
+    )
+    plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["a", "b"])
+    return plan_samples(plant, wanted, certificate=False, robustness=False, from_start=False)
+
+
+plan_of = cache(plan_for)
+
+
+def witness(found, **changes):
+    first, *rest = found.witnesses
+    return {"witnesses": (replace(first, **changes), *rest)}
+
+
+def over_time(found, **changes):
+    return {"profile": replace(found.profile, **changes)}
+
+
+def question(found, **changes):
+    return {"question": replace(found.question, **changes)}
+
+
+def plan_proof():
+    better = plan_of(0.05)
+    return {"accuracy": better.accuracy, "reached": [better.reached[0], plan_of(0.1).reached[1]]}
+
+
+EDITS = {
+    "a row that is larger": (endless, lambda a: witness(a, row=a.witnesses[0].row * 1.1) | {"lower": a.lower * 1.05}),
+    "outputs that show less": (endless, lambda a: witness(a, plant=replace(PLANT, C=PLANT.C / 2))),
+    "a value that is not attained": (endless, lambda a: witness(a, value=a.witnesses[0].value * 1.01)),
+    "less at the samples": (endless, lambda a: {"at_samples": a.at_samples * 0.99}),
+    "less over time": (endless, lambda a: over_time(a, upper=a.profile.upper * 0.99)),
+    "more attained over time than proven": (endless, lambda a: over_time(a, lower=a.profile.upper * 1.01)),
+    "at other times": (endless, lambda a: over_time(a, edges=a.profile.edges + 0.1)),
+    "another schedule": (endless, lambda a: question(a, schedule=PeriodicSchedule([1.0, 0.5, 1.5], outputs=READ))),
+    "another reading": (endless, lambda a: question(a, schedule=replace(a.schedule, outputs=np.roll(READ, 1, axis=0)))),
+    "no witness": (finite, lambda a: {"witnesses": (None, None), "lower": a.upper * 2}),
+    "known earlier": (finite, lambda a: {"known_from": a.known_from - 0.1}),
+    "another period": (by_count, lambda a: {"period": 16.0}),
+    "other counts": (by_count, lambda a: {"counts": (0, 2, 4)}),
+    "other rows": (by_count, lambda a: {"rows": replace(a.rows, matrix=a.rows.matrix / 2)}),
+    "of another plant": (limit, lambda a: {"plant": replace(PLANT, C=PLANT.C * 2)}),
+    "of weaker disturbances": (limit, lambda a: {"plant": replace(PLANT, G=PLANT.G / 2)}),
+    "data that contradict nothing": (
+        disproven,
+        lambda a: {"readings": state_interval(PLANT, record(0.7), **BOUNDS).readings},
+    ),
+    "one end": (disproven, lambda a: {"lower": np.zeros(2)}),
+    "of a shorter period": (design, lambda a: {"schedule": PeriodicSchedule.from_times(a.schedule.times, 5.9)}),
+    "of a plant seen better": (design, lambda a: {"plant": replace(a.plant, C=a.plant.C * 2)}),
+    "of more samples": (design, lambda a: {"requirement": replace(a.requirement, samples={"exactly": 2})}),
+    "of better sensors": (lambda: plan_of(0.1), lambda a: plan_proof()),
+    "no accuracy": (lambda: plan_of(0.1), lambda a: {"accuracy": None, "reached": a.reached * [0.0, 1.0]}),
+    "no deviation": (lambda: plan_of(0.1), lambda a: {"deviation": None, "reached": a.reached * [1.0, 0.0]}),
+}
+
+
+@pytest.mark.parametrize("what", EDITS)
+def test_an_edit_is_refused(what):
+    made, edit = EDITS[what]
+    found = made()
+    assert found.verify()
+    assert not replace(found, **edit(found)).verify()
+
+
+def test_what_says_less_is_still_true():
+    found = endless()
+    weaker = replace(found, lower=found.lower / 2, upper=found.upper * 2, at_samples=found.at_samples * 1.1)
+    assert weaker.verify()

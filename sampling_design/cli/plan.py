@@ -52,7 +52,7 @@ def plan(
     opening hours to a calendar" of the documentation goes through them. Ctrl-C ends the search: files of the best plan
     that it holds are written, if there is one (exit code 130).
 
-    Example: sampling-design plan examples/plans/oscillator.toml -o out
+    Example: sampling-design plan examples/plans/oscillator.toml -o out/plan
     """
     requirement, plant = files.plan_requirement(plant_file, requirement_file)
     whole("periods", periods, 1)
@@ -117,7 +117,7 @@ def next_sample(
 
     Exit code 3: nothing is proven within `--budget`.
 
-    Example: sampling-design next out/plan.json --now 7
+    Example: sampling-design next out/plan/plan.json --now 7
     """
     result = files.plan(plan_file)
     record = None if measurements_file is None else _record(settings, result, measurements_file)

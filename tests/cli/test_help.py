@@ -19,6 +19,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def test_the_examples_of_all_commands_are_one_story(monkeypatch, tmp_path, shell):
     copytree(EXAMPLES, tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
+    written: dict[Path, bytes] = {}
     for command in COMMANDS:
         (example,) = re.findall(r"^ *Example: sampling-design (.*)$", shell(command, "--help").out, re.MULTILINE)
         assert example.split()[0] == command
@@ -27,8 +28,11 @@ def test_the_examples_of_all_commands_are_one_story(monkeypatch, tmp_path, shell
         done = shell(*shlex.split(example), *ended)
         assert done.code == 0, f"{example}: {done.err or done.out}"
         assert done.out
-    written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"schedule.csv", "certificate.json", "estimates.csv", "report.md", "thyroid.md"} <= written
+        files = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+        assert [path for path in written if files.get(path) != written[path]] == [], f"{command} overwrites"
+        written = files
+    told = {path.name for path in written}
+    assert {"schedule.csv", "plan.json", "certificate.json", "estimates.csv", "report.md", "thyroid.md"} <= told
 
 
 TIMES = {

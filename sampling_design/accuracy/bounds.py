@@ -17,7 +17,14 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.vector_bounds import Entry, VectorBound, half_and_centre, named_bounds, vector_bound
+from sampling_design.records.vector_bounds import (
+    Entry,
+    VectorBound,
+    half_and_centre,
+    named_bounds,
+    squarable,
+    vector_bound,
+)
 from sampling_design.schedules.sensor import Sensor
 
 Given: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | Callable[[float], npt.ArrayLike | tuple[float, float]]
@@ -137,12 +144,7 @@ def _one(name: str, value: Given, names: tuple[str, ...]) -> tuple[Array, Array,
     if isinstance(value, tuple) and len(names) == 1 and len(value) == 2:
         half, centre = half_and_centre(name, value)
         return np.array([half]), np.array([centre]), False
-    if checks.dimensions(value) == 0:
-        return np.full(len(names), checks.nonnegative(name, value)), nothing, True
-    array = np.array(checks.vector(name, value, len(names)))
-    if np.any(array < 0):
-        raise ArgumentError(f"`{name}` must not be negative, got {float(array.min())!r}.")
-    return array, nothing, False
+    return np.full(len(names), vector_bound(name, value, names)), nothing, checks.dimensions(value) == 0
 
 
 def _each(value: Given, plant: Plant, samples: int, times: Array | None) -> tuple[Array, Array, bool]:
@@ -178,7 +180,7 @@ def _each(value: Given, plant: Plant, samples: int, times: Array | None) -> tupl
         v = np.array(checks.matrix("v_bound", value, samples, len(names)))
         if np.any(v < 0):
             raise ArgumentError(f"`v_bound` must not be negative, got {float(v.min())!r}.")
-        return v, np.zeros(shape), False
+        return squarable("v_bound", v), np.zeros(shape), False
     row, middle, ball = _one("v_bound", value, names)
     return np.broadcast_to(row, shape).copy(), np.broadcast_to(middle, shape).copy(), ball
 
@@ -295,7 +297,7 @@ class InitialSet:
         if is_table(value):
             return cls.box(*named_bounds("initial_error", value, plant.states.names))
         if checks.dimensions(value) == 0:
-            radius = checks.nonnegative("initial_error", value)
+            radius = float(squarable("initial_error", checks.nonnegative("initial_error", value)))
             if radius == 0 or n == 1:
                 return cls.box(np.full(n, radius))
             return cls.within(np.eye(n) / radius, True)
@@ -328,4 +330,4 @@ def _half_widths(value: object, n: int) -> Array:
             f"`initial_error` must be a number, {n} half-widths (infinite where nothing is known), a weight ({n}, {n}) "
             f"or a mapping from names of states, got {checks.described(value)}."
         )
-    return half
+    return squarable("initial_error", half)

@@ -275,11 +275,11 @@ class RecordProgram:
             x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
         with np.errstate(over="ignore", invalid="ignore"):
             gains, ahead = posed.read(y * size)
+            least = -float(cost @ x) * size + float(c @ self._near[self._aim])
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(gains).all() and np.isfinite(ahead).all()):
             return nothing
         # of data that contradict the bounds nobody knows what is attained
-        attained = -np.inf if self.infeasible else -float(cost @ x) * size + float(c @ self._near[self._aim])
-        return attained, gains, ahead
+        return -np.inf if self.infeasible or np.isnan(least) else least, gains, ahead
 
     def _multiple(self, level: int) -> float:
         """The least multiple of all bounds under which the program of a level has a solution."""

@@ -199,7 +199,7 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], li
         period = in_turn(maps)
         several = period.repeated()
         known = np.diag(several.G)
-        start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
+        start = np.diag(1 / np.where(known > 0, np.maximum(1e-9 * known, np.finfo(float).tiny), 1.0))
         walk = RANDOM_WALK * several(start)
         P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
         followed = rooted.walking(psd_root(walk)).gives_back(psd_root(P[0]))

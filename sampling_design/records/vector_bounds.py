@@ -17,6 +17,9 @@ Entry: TypeAlias = float | tuple[float, float]
 VectorBound: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | None
 """A number, entries, or a mapping from names to numbers or pairs (lower, upper); None: no bound."""
 
+MOST_POWER = 1e150
+"""Sizes beyond it, or below its inverse, have squares that are no doubles: no bound is so large or small but 0."""
+
 
 def of_any_names(argument: str, value: object) -> object:
     """Return a bound as it was said, before it is known of what; what is neither numbers nor a table is refused."""
@@ -31,7 +34,7 @@ def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> A
     Of one entry the norm is its size, and a number is a bound on that entry.
 
     Raises ArgumentError if it is negative, not finite, of another length, names what is not there, leaves a name out,
-    or is a pair that is not about 0.
+    is a pair that is not about 0, or so large or small that its square is no number.
     """
     if is_table(value):
         given = {str(key): entry for key, entry in value.items()}
@@ -44,12 +47,12 @@ def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> A
             raise ArgumentError(f"`{argument}` is missing for {', '.join(lost)}: give a number, 0 for none.")
         return checks.freeze(half)
     if checks.dimensions(value) == 0:
-        number = np.asarray(checks.nonnegative(argument, value))
+        number = squarable(argument, checks.nonnegative(argument, value))
         return checks.freeze(number.reshape(1)) if len(names) == 1 else number
     entries = checks.vector(argument, value, len(names))
     if np.any(entries < 0):
         raise ArgumentError(f"`{argument}` must not be negative, got {float(entries.min())!r}.")
-    return entries
+    return checks.freeze(squarable(argument, entries))
 
 
 def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, ...]) -> tuple[Array, Array]:
@@ -68,7 +71,7 @@ def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, .
 def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
     """Return half-width and centre of a number (about 0) or a pair (lower, upper); what is one-sided is unbounded.
 
-    Raises ArgumentError if the number is negative, or the pair in the wrong order.
+    Raises ArgumentError if the number is negative, the pair in the wrong order, or a square no number.
     """
     if isinstance(entry, tuple):
         if len(entry) != 2:
@@ -78,10 +81,23 @@ def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
             raise ArgumentError(f"`{argument}` must be a pair (lower, upper), got {entry!r:.60}: lower exceeds upper.")
         if np.isinf(low) or np.isinf(high):
             return np.inf, 0.0
+        squarable(argument, [(high - low) / 2, (high + low) / 2])
         return (high - low) / 2, (high + low) / 2
     if _is_infinite(entry) and entry == np.inf:
         return np.inf, 0.0
-    return checks.nonnegative(argument, entry), 0.0
+    return float(squarable(argument, checks.nonnegative(argument, entry))), 0.0
+
+
+def squarable(argument: str, sizes: npt.ArrayLike) -> Array:
+    """Return sizes that are 0, infinite, or have squares that are doubles. Raises ArgumentError if one is another."""
+    entries = np.asarray(sizes, dtype=np.float64)
+    size = np.abs(entries[np.isfinite(entries) & (entries != 0)])
+    if size.size and not 1 / MOST_POWER <= size.min() <= size.max() <= MOST_POWER:
+        raise ArgumentError(
+            f"`{argument}` must be 0 or lie between {1 / MOST_POWER:g} and {MOST_POWER:g}, or its square is no number "
+            f"in double precision, got {size.min() if size.min() < 1 else size.max():g}."
+        )
+    return entries
 
 
 def _is_infinite(value: object) -> TypeGuard[float]:

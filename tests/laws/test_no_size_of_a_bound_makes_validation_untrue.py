@@ -5,6 +5,7 @@
 
 import sys
 import warnings
+from contextlib import suppress
 from itertools import product
 
 import mpmath
@@ -88,6 +89,32 @@ def test_units_change_nothing_that_is_observed(seed):
     assert len(one.checks) >= 4
     for here, far in zip(one.checks, other.checks, strict=True):
         assert far.observed == pytest.approx(here.observed, rel=1e-5, abs=1e-9), (here.claim, here.scenario)
+
+
+SLOW = sd.Plant([[-0.3]], [[1.0]])
+READ = sd.Measurements(SLOW, [0.5, 1.2, 1.7], np.zeros((3, 1)))
+EVERY_HOUR = sd.PeriodicSchedule([0.7, 0.5])
+VERBS = {
+    "accuracy": lambda **bounds: sd.guaranteed_accuracy(SLOW, EVERY_HOUR.between(0.0, 3.0), **bounds).upper,
+    "certify": lambda **bounds: sd.certify(SLOW, EVERY_HOUR, **bounds).P2,
+    "filter": lambda **bounds: sd.KalmanFilter(SLOW, **bounds).run(READ).x,
+    "set": lambda **bounds: sd.SetMembershipEstimator(SLOW, **bounds).run(READ).radii,
+    "smoother": lambda **bounds: sd.KalmanFilter(SLOW, **bounds).smooth(READ).x,
+    "interval": lambda **bounds: sd.state_interval(SLOW, READ, **bounds).upper,
+}
+
+
+@pytest.mark.parametrize(("verb", "name"), few(product(VERBS, ("w_bound", "v_bound", "initial_error")), 7, 10, 15))
+def test_a_bound_of_any_size_gets_an_answer_or_one_sentence(verb, name):
+    bounds = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 1.0}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for size in (1e-300, 1e300):
+            with pytest.raises(ArgumentError, match=f"`{name}` must be 0 or lie between 1e-150 and 1e.150, or its sq"):
+                VERBS[verb](**{**bounds, name: size})
+        for size in (1e-150, 1e150):
+            with suppress(sd.SamplingDesignError):
+                assert np.isfinite(VERBS[verb](**{**bounds, name: size})).all()
 
 
 def test_growth_beyond_all_numbers_is_neither_kept_nor_broken():

@@ -194,3 +194,12 @@ def test_bad_arguments_are_refused():
 def test_matrices_that_are_no_functions_of_time_are_refused():
     with pytest.raises(ArgumentError, match="`A` must be a function of time that returns a matrix, got list"):
         TimeVaryingPlant([[0.0]], lambda t: [[1.0]], horizon=1.0)
+
+
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 60.0])
+def test_times_that_rounding_alone_sets_apart_are_followed(unit):
+    """Ends of windows fall beside samples by a rounding error, which is a gap that no integrator begins."""
+    chain, schedule = np.eye(3, k=1) / unit, sd.PeriodicSchedule([0.1 * unit]).between(0.0, 3.0 * unit)
+    still = TimeVaryingPlant(lambda t: chain, lambda t: np.eye(1, 3), horizon=3.0 * unit)
+    found = sd.window_sigma(still, schedule, 0.7 * unit)
+    assert found.upper == pytest.approx(sd.window_sigma(sd.Plant(chain, np.eye(1, 3)), schedule, 0.7 * unit).upper)

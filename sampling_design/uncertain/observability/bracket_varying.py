@@ -290,7 +290,8 @@ def _first(search: VaryingSearch, g: int) -> Iterator[_EvaluatedStart]:
 def hidden(search: VaryingSearch, start: _EvaluatedStart) -> bool:
     """Whether rows leave a direction out but for rounding, in the given and in balanced states."""
     unit = search.plant.states.scales
-    d = balance(np.asarray(search.plant.A(start.at), dtype=float) * unit / unit[:, None]).d
+    span = search.pieces.window  # of chains alone only time says how fast they are
+    d = balance(np.asarray(search.plant.A(start.at), dtype=float) * span * unit / unit[:, None]).d
     return all(s[-1] <= HIDDEN * s[0] for s in (np.linalg.svd(start.rows * by, compute_uv=False) for by in (1.0, d)))
 
 

@@ -112,6 +112,9 @@ MatrixOfTime = Callable[[float], npt.ArrayLike]
 TOLERANCE = 1e-9  # relative tolerance of the transitions, in scaled states
 CLOSER = 1e-2  # the same transitions at this share of the tolerance say how far off they are
 
+ONE_STEP = 1e-13
+"""Share of the time within which rounding alone sets ends apart: one step is exact there, and LSODA refuses to begin."""
+
 MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""
 
@@ -131,6 +134,9 @@ def integrated(
     Raises SolverError if it escapes or needs too many evaluations.
     """
     count, last = 0, a
+    if abs(b - a) <= ONE_STEP * max(abs(a), abs(b)):
+        slope = rate(a, begin)
+        return begin + (b - a) * slope, lambda t: begin + (t - a) * slope
 
     def stopped() -> SolverError:
         return SolverError(

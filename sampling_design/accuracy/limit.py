@@ -17,9 +17,10 @@ from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, OTHER_STATES, DetectablePart, known_part, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.balancing import balance, chain_speed
+from sampling_design.numerics.balancing import chain_speed
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants.clusters import fastest_rate
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
@@ -274,7 +275,7 @@ def _question(plant: Plant, bounds: SignalBounds, nodes: Array, period: float) -
 
 def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: float) -> float:
     """A step over which the filter's fastest error shrinks by about a quarter."""
-    if balance(plant.A).speed:
+    if fastest_rate(plant.A):
         step = _time_constant(plant)
     else:
         step = 1 / (chain_speed(plant.A, plant.G, plant.C, bounds.w, bounds.v[0]) or 1.0)

@@ -17,7 +17,7 @@ from sampling_design.plants.grouping import (
     radius,
 )
 from sampling_design.records import checks
-from sampling_design.records.arrays import Complex
+from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.record import Record
 from sampling_design.records.signatures import checked
 
@@ -166,6 +166,12 @@ def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[Eigenv
     keys = [(-round(v.real / grain), abs(v.imag), v.imag < 0) for v in (each.value for each in found)]
     order = sorted(range(len(found)), key=keys.__getitem__)
     return tuple(found[i] for i in order), [groups[i] for i in order]
+
+
+def fastest_rate(A: Array) -> float:
+    """Return the largest |eigenvalue|; 0 of integrators alone, whatever rounding leaves of theirs in mixed states."""
+    clusters = eigenvalue_clusters(A)
+    return max((abs(each.value) for each in clusters if abs(each.value) > each.uncertainty), default=0.0)
 
 
 def _mean(values: Complex) -> complex:

@@ -100,6 +100,9 @@ def test_a_no_that_a_bounded_run_contradicts_is_said_to_be_undecided(monkeypatch
 
 def test_the_run_that_checks_a_no():
     assert stays_bounded(OSCILLATOR, PeriodicSchedule([1.0]), 0.4)
+    for unit in (1e-8, 1e8):
+        chain = Plant(np.eye(4, k=1) / unit, np.eye(1, 4))
+        assert stays_bounded(chain, PeriodicSchedule([0.5 * unit, 0.7 * unit]), 0.3 / unit)
     assert not stays_bounded(OSCILLATOR, PeriodicSchedule([np.pi]), 0.4)
     assert not stays_bounded(OSCILLATOR, PeriodicSchedule([np.pi]), 0.0)
     # a slow linear growth beside something a million times larger

@@ -265,6 +265,24 @@ def test_the_unit_of_time_changes_no_estimate_of_integrators(order, time):
         assert same_estimate(a, b, there)
 
 
+@pytest.mark.parametrize("order", [2, 3, 4])
+@pytest.mark.parametrize("time", [1e-8, 1.0, 1e8])
+def test_integrators_in_mixed_states_are_integrators(order, time):
+    """Rounding leaves them eigenvalues of a thousandth, which say nothing of how fast they are."""
+    rng, chain = np.random.default_rng(order), np.diag(np.ones(order - 1), 1)
+    T = np.linalg.qr(rng.normal(size=(order, order)))[0]
+    ys = rng.normal(size=(GAPS.size, 1))
+
+    def followed_in(turn, unit):
+        plant = Plant(turn @ chain @ turn.T / unit, turn.T[:1], G=turn[:, -1:] / unit)
+        found = KalmanFilter(plant, w_bound=0.3, v_bound=0.4, initial_error=2.0)
+        return [found.update(unit * t, y) for t, y in zip(np.cumsum(GAPS), ys, strict=True)]
+
+    for here, there in zip(followed_in(np.eye(order), 1.0), followed_in(T, time), strict=True):
+        assert T.T @ there.x == pytest.approx(here.x, rel=RELATIVE, abs=RELATIVE)
+        assert T.T @ there.covariance @ T == pytest.approx(here.covariance, rel=RELATIVE, abs=RELATIVE)
+
+
 @pytest.mark.parametrize(("order", "coupling", "size"), [(3, 1e200, 1.0), (3, 1e-200, 1.0), (1, 1.0, 1e140)])
 def test_integrators_of_any_size_have_weights(order, coupling, size):
     """Powers of A and quotients of bounds leave the doubles, the weights that rest on them do not."""

@@ -115,7 +115,7 @@ def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Arr
 
     Both are in these units, x = units z, so that the units of the plant do not decide what counts as small.
     """
-    units = balance(plant.A).d
+    units = balance(plant.A * schedule.period).d  # of chains alone only time says how fast they are
     with np.errstate(over="ignore", invalid="ignore"):
         flows = expm_batch(balanced(plant.A, units), np.cumsum(schedule.gaps))
         rows = balanced_rows(plant.C, units) @ flows

@@ -297,7 +297,7 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
     values with the test that it checks. An unobservable mode grows by at least I a period, so Y never settles; where it
     grows beyond all numbers it does not settle either.
     """
-    d = balance(plant.A).d
+    d = balance(plant.A * schedule.period).d  # of chains alone only time says how fast they are
     A = balanced(plant.A, d) + eta / 2 * np.eye(plant.n_states)
     C = balanced_rows(plant.C, d)
     C = C / positive_or_one(np.linalg.norm(C, axis=1))[:, None]

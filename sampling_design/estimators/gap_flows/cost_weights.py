@@ -22,6 +22,7 @@ from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import chain_speed
 from sampling_design.numerics.linalg import symmetrise
+from sampling_design.plants.clusters import fastest_rate
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -337,8 +338,7 @@ def build_weights(
     theirs = 0.0 if certificate is None else certificate.eta
     rate = checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
     by_hand = certificate is not None or any(key in MATRICES for key in cost.given)
-    own = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
-    known = {} if bounds is None or by_hand else _weighed(plant, bounds, rate or 1 / horizon or own)
+    known = {} if bounds is None or by_hand else _weighed(plant, bounds, rate or 1 / horizon or fastest_rate(plant.A))
     matrices = {}
     for key, diagonal in inverse.items():
         value = getattr(cost, key)

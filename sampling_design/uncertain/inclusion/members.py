@@ -229,7 +229,7 @@ class InclusionPlants:
                 return np.asarray(root)
         except (SamplingDesignError, np.linalg.LinAlgError, FloatingPointError):
             pass  # the centre alone may have no certificate, or none at this rate
-        return np.diag(1 / balance(self.centre.A).d)
+        return np.diag(1 / balance(self.centre.A * self.longest).d)
 
     def inflated(self, posed: InclusionData) -> Array:
         """Members moved away from their middle by the share `inflation`."""

@@ -113,7 +113,7 @@ TOLERANCE = 1e-9  # relative tolerance of the transitions, in scaled states
 CLOSER = 1e-2  # the same transitions at this share of the tolerance say how far off they are
 
 ONE_STEP = 1e-13
-"""Share of the time within which rounding alone sets ends apart: one step is exact there, and LSODA refuses to begin."""
+"""Share of the time within which rounding alone sets ends apart: one step is exact there, and LSODA begins none."""
 
 MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import Seed
 from sampling_design.schedules import family
 from sampling_design.schedules.family import AnySchedule, FamilyStep, Leeway, NominalFamily, Steps, Word, period_of
@@ -113,13 +113,20 @@ class LostSamples(NominalFamily, kind="lost-samples"):
         mask = None if nominal.outputs is None else nominal.outputs[kept]
         if not same_outputs(Schedule(nominal.times[kept], mask), schedule):
             return False
-        lost = np.ones(len(nominal), dtype=int)
-        lost[kept] = 0
+        lost = np.ones(len(nominal), dtype=bool)
+        lost[kept] = False
         if cyclic:
-            lost = np.tile(lost, 1 + -(-self.of // lost.size))
+            return self._borne_around(lost)
         total = np.concatenate([[0], np.cumsum(lost)])
         ahead = np.minimum(np.arange(lost.size) + self.of, lost.size)
         return bool(np.all(total[ahead] - total[:-1] <= self.most))
+
+    def _borne_around(self, lost: Mask) -> bool:
+        """Whether losses that come again for ever are `most` at most of any `of`: whole rounds, and a part of one."""
+        rounds, part = divmod(self.of, lost.size)
+        total = np.cumsum([0, *lost, *lost])
+        worst = int(np.max(total[part : part + lost.size] - total[: lost.size]))
+        return rounds * int(total[lost.size]) + worst <= self.most
 
     def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: each sample that may be lost is lost with probability 1/2.
@@ -182,9 +189,7 @@ class LostSamples(NominalFamily, kind="lost-samples"):
             mask = None if nominal.outputs is None else np.tile(nominal.outputs, (repeats, 1))
             for kept in product((True, False), repeat=count):
                 on = np.array(kept)
-                if not on.any() or np.sum(~on) > self.most * -(-count // self.of) + self.most:
-                    continue
-                if any(sum(1 - kept[(i + j) % count] for j in range(self.of)) > self.most for i in range(count)):
+                if not on.any() or not self._borne_around(~on):
                     continue
                 yield PeriodicSchedule.from_times(
                     times[on], repeats * nominal.period, None if mask is None else mask[on], time_unit=nominal.time_unit

@@ -325,6 +325,12 @@ def test_a_family_is_certified_in_whatever_unit_its_outputs_are():
     assert 0.5 < R[0, 0] / 2 < 2
 
 
+def test_one_loss_among_any_number_of_samples_is_certified():
+    """What is tried does not grow with the number of samples: neither levels of memory nor suspects."""
+    rare = sd.certify(OSCILLATOR, LostSamples(PeriodicSchedule([0.7]), 1, 10**9), eta=0.4, P2=np.eye(2))
+    assert rare.graph.count < 20
+
+
 def test_the_undecided_without_bounds_say_that_units_were_weighed():
     units = np.diag([1e9, 1e-9])
     far = Plant(units @ OSCILLATOR.A @ np.diag([1e-9, 1e9]), OSCILLATOR.C @ np.diag([1e-9, 1e9]))

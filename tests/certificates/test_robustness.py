@@ -158,6 +158,12 @@ def test_a_budget_that_runs_out_is_said(planned):
     assert "budget ran out" in str(found)
 
 
+def test_losses_among_any_number_of_samples_take_as_much_memory_as_there_is(planned):
+    search, schedule = RobustnessSearch(planned, 1e9, Budget(), print), PeriodicSchedule([1.0])
+    levels = [search._loss_level(sd.LostSamples(schedule, 1, of)) for of in (3, 1000, 10**9)]
+    assert levels[0] < levels[1] == levels[2]
+
+
 def test_what_cannot_be_asked_is_refused(planned):
     with pytest.raises(ArgumentError, match="must be on a PeriodicSchedule"):
         sd.robustness(OSCILLATOR, sd.certify(OSCILLATOR, sd.Schedule([1.0, 2.0, 3.0]), eta=0.3, P2=np.eye(2)))

@@ -1,3 +1,5 @@
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -301,3 +303,17 @@ def test_no_step_of_spaced_windows_is_rounding_alone(window, count, spacing):
             new = {step.word for step in found} - known
             known |= new
             words += new
+
+
+@pytest.mark.parametrize(("most", "of"), [(1, 2), (1, 8), (2, 3), (2, 5), (3, 13)])
+def test_losses_that_come_again_are_counted_over_as_many_rounds_as_it_takes(most, of):
+    """However many periods `of` samples take: as if all of these were written out."""
+    nominal = PeriodicSchedule([1.0])
+    for count in range(1, 8):
+        for kept in product([False, True], repeat=count):
+            if any(kept):
+                member = PeriodicSchedule.from_times(1.0 + np.flatnonzero(kept), float(count))
+                lost = ~np.tile(kept, of + 1)
+                worst = max(int(lost[k : k + of].sum()) for k in range(count))
+                assert LostSamples(nominal, most, of).contains(member) == (worst <= most)
+                assert LostSamples(nominal, 1, 10**12).contains(member) == all(kept)

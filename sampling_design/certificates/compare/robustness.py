@@ -261,13 +261,13 @@ class RobustnessSearch:
         return sorted(tried, key=lambda trial: (trial.family.most, trial.family.of)), certificates
 
     def _loss_level(self, family: LostSamples) -> int:
-        """As much memory as the unknowns allow."""
+        """As much memory as the unknowns allow: words are more with every level."""
         n, period = self.plant.n_states, len(period_of(family.schedule))
-        for level in reversed(range(family.levels_of_memory)):
+        for level in range(1, family.levels_of_memory):
             words = sum(comb(family.most + level, k) for k in range(family.most + 1))
-            if words * period <= MOST_NODES and words * period * n * (n + 1) // 2 <= MOST_UNKNOWNS:
-                return level
-        return 0
+            if words * period > MOST_NODES or words * period * n * (n + 1) // 2 > MOST_UNKNOWNS:
+                return level - 1
+        return family.levels_of_memory - 1
 
 
 @checked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -216,7 +216,7 @@ class FamilySearch:
         return best_rates(scan, GOLDEN, lambda rate: self.horizon(rate, memory), lambda: self.budget.over, report)
 
     def decide(
-        self, bounds: tuple[float, float], levels: list[int], least: NearestFailure, report: Progress
+        self, bounds: tuple[float, float], levels: Sequence[int], least: NearestFailure, report: Progress
     ) -> FamilyProposal:
         """Return the proposal with the least horizon at the least memory that has one; refuse, or say undecided."""
         missed: list[FamilyProposal] = []
@@ -236,7 +236,7 @@ class FamilySearch:
                 least = refute(self.plant, self.family, bounds[0], hints=[proposal.gap])
         raise _undecided(self, bounds[0], missed, least)
 
-    def largest_part(self, eta: float, levels: list[int]) -> SamplingFamily | None:
+    def largest_part(self, eta: float, levels: Sequence[int]) -> SamplingFamily | None:
         """The largest part of the family, by halvings, that has a certificate at one of these levels of memory."""
         part, low, high = None, 0.0, 1.0
         for _ in range(NARROWINGS):
@@ -382,7 +382,7 @@ def certify_family(
 
     def decided(weights: NoiseWeights) -> FamilyCertificate:
         with_them = replace(search, weights=weights)
-        return certified(plant, family, weights, with_them.decide(bounds, list(levels), least, report))
+        return certified(plant, family, weights, with_them.decide(bounds, levels, least, report))
 
     try:
         return decided(weights)
@@ -401,7 +401,7 @@ def certify_family(
         text, details = str(error), dict(error.details)
         match details:
             case {"levels": int(tried)}:
-                details["certified"] = part = search.largest_part(bounds[0], list(levels)[:tried])
+                details["certified"] = part = search.largest_part(bounds[0], levels[:tried])
                 text += "" if part is None else f" Certified is, as the largest part by halvings: {part.explain()}"
         text += "" if told else ALIKE
         raise UndecidedError(text, **details) from None

@@ -158,6 +158,24 @@ def test_lambda_of_matrices_leaves_what_the_certificate_states(seed):
     assert not prove(posed.dynamics, node_conditions(posed.graph, P, stated * 1.01)).proven
 
 
+@pytest.mark.parametrize("start", few([1.01, 2.0, 1e4], 2))
+@pytest.mark.parametrize("rtol", [family.LAM_RTOL, family.COARSE_RTOL])
+def test_the_least_lambda_is_bracketed_by_few_programs(start, rtol):
+    """A program is solved just below what is returned, and has no point; halvings between 1 and 2 would take nine."""
+    family_ = in_plant_terms(OSCILLATOR, GapRange(0.5, 1.5))
+    search = family.FamilySearch(OSCILLATOR, family_, (np.eye(2), np.eye(1), np.eye(1)), None, 3.0)
+    posed, tried = search.program(0.1, search.graph(0)), {}
+    solved = posed.feasible
+    posed.feasible = lambda lam, floor: tried.setdefault(lam, solved(lam, floor))
+    lam, P, _, _ = search.least_lam(posed, rtol, start)
+    reached = {each: found[1] is not None for each, found in tried.items()}
+    assert P is tried[lam][1]
+    assert lam == min(each for each, holds in reached.items() if holds)
+    assert lam / (1 + rtol) <= max(each for each, holds in reached.items() if not holds) < lam
+    assert len(tried) <= (10 if start > 100 else 8)
+    assert search.least_lam(posed, rtol, lam * 1.2, enough=lam * 1.2)[0] == lam * 1.2
+
+
 def test_the_margin_stops_growing():
     family_ = in_plant_terms(OSCILLATOR, GapRange(0.5, 1.5))
     search = family.FamilySearch(OSCILLATOR, family_, (np.eye(2), np.eye(1), np.eye(1)), None, 3.0)

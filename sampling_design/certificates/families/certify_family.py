@@ -43,6 +43,9 @@ from sampling_design.schedules.family import SamplingFamily
 LARGEST_LAM = 1e8  # beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding
 LAM_RTOL = 3e-3  # width of the bisection on lambda at the end; COARSE_RTOL while rates are compared
 COARSE_RTOL = 0.05
+ASIDE, LEAST_PART = 0.4, 0.05
+"""How far beside the root of the slack a lambda is tried, in widths at the end, and the least part of an interval that
+a trial takes away: about four programs where halvings take nine."""
 LEAST_FLOOR = 1e-7
 """Kept information below this fraction of the nominal schedule's counts as none: the solver's tolerance, with room."""
 LAYERS, LAYERS_GIVEN = 2, 6
@@ -127,24 +130,28 @@ class FamilySearch:
         return FamilyProgram(dynamics, graph, unit, given, self.budget)
 
     def least_lam(
-        self, program: FamilyProgram, rtol: float, start: float = 2.0
+        self, program: FamilyProgram, rtol: float, start: float = 2.0, enough: float = 0.0
     ) -> tuple[float, Array | None, float, SolverRecord]:
-        """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all."""
+        """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all.
+
+        One that is `enough` ends the search.
+        """
         if program.P2 is not None:
             ratio, P, record = program.best_ratio()
-            return (1 / ratio if P is not None else np.inf), P, ratio, record
+            return (1 / ratio if P is not None else np.inf), P, max(ratio, 0.0), record
         floor, P, record = program.floor()
         kept = floor * float(np.linalg.eigvalsh(program.unit)[-1])
         if P is None or kept < LEAST_FLOOR:
             return np.inf, None, max(kept, 0.0), record
         low, high, lam, best = 1.0, np.inf, start, None
-        while high > low * (1 + rtol) and low < LARGEST_LAM and not self.budget.over:
-            _, matrices, record = program.feasible(lam, floor / self.noise_gain)
+        missing, room = 0.0, 0.0  # slack at both ends, of which lambda is about a linear function
+        while high > max(low * (1 + rtol), enough) and low < LARGEST_LAM and not self.budget.over:
+            slack, matrices, record = program.feasible(lam, floor / self.noise_gain)
             if matrices is None:
-                low = lam
+                low, missing = lam, slack
             else:
-                high, best, best_record = lam, matrices, record
-            lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
+                high, room, best, best_record = lam, slack, matrices, record
+            lam = lam**2 * 2 if np.isinf(high) else low * _between(high / low, missing, room, rtol)
         return (high, best, kept, best_record) if best is not None else (np.inf, None, kept, record)
 
     def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> FamilyProposal:
@@ -159,23 +166,19 @@ class FamilySearch:
         for _ in range(ROUNDS):
             if P is None or lam > worst or self.budget.over:
                 break
-            edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.budget)
-            claimed, nodes = self._lam_of(program, P)
-            if edges.proven and nodes.proven:
-                return FamilyProposal(eta, graph, self.outside(program, P), claimed, record, kept, gap)
-            if edges.failed:
-                gap = self.inner.time * max(edges.failed.values(), key=lambda item: item[1])[0]
-            program.gain(edges.failed, nodes.failed)
-            if (edges.tight or nodes.tight) and not program.widen():
+            outcome = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.budget)
+            times = program.edge_times
+            if outcome.failed:
+                gap = self.inner.time * max(outcome.failed.values(), key=lambda item: item[1])[0]
+            if outcome.proven:
+                claimed, outcome = self._lam_of(program, P)
+                if outcome.proven:
+                    return FamilyProposal(eta, graph, self.outside(program, P), claimed, record, kept, gap)
+                times = program.node_times
+            program.gain(times, outcome.failed)
+            if outcome.tight and not program.widen():
                 break
-            floor = program.floor()[0] if program.P2 is None else 0.0
-            renewed = None
-            if program.P2 is None and floor * float(np.linalg.eigvalsh(program.unit)[-1]) >= LEAST_FLOOR:
-                _, renewed, record = program.feasible(lam * ROOM, floor / self.noise_gain)
-                lam = lam * ROOM if renewed is not None else lam
-            if renewed is None:
-                lam, renewed, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
-            P = renewed
+            lam, P, kept, record = self.least_lam(program, LAM_RTOL, start=lam * ROOM, enough=lam * ROOM)
         return FamilyProposal(eta, graph, None, lam, record, kept, gap)
 
     def outside(self, program: FamilyProgram, P: Array) -> Array:
@@ -287,6 +290,18 @@ class FamilySearch:
                 if proposal.P is not None and proposal.horizon < known.horizon:
                     return proposal
         return known
+
+
+def _between(ratio: float, missing: float, room: float, rtol: float) -> float:
+    """Where lambda is tried next, between 1 and `ratio`: beside the root of the slack, on the side of its farther end.
+
+    In the middle (geometric) where the slack of the lower end is not known. Slack is about linear in ln lambda.
+    """
+    width, at = np.log(ratio), 0.5
+    if missing < 0:
+        at = missing / (missing - room)
+        at += np.copysign(ASIDE * np.log1p(rtol) / width, 0.5 - at)
+    return float(np.exp(width * np.clip(at, LEAST_PART, 1 - LEAST_PART)))
 
 
 def _coordinate_root(Y: Array) -> Array:

@@ -154,9 +154,10 @@ class FamilyProgram:
         cost = np.zeros(self._width)
         cost[-1] = -1.0
         solution = _solved(cost, posed, self.budget)
-        if not conic_programs.usable(solution.record) or solution.x[-1] < least:
+        if not conic_programs.usable(solution.record):
             return 0.0, None, solution.record
-        return float(solution.x[-1]), self._matrices(solution.x), solution.record
+        value = float(solution.x[-1])
+        return value, self._matrices(solution.x) if value >= least else None, solution.record
 
     def _edge_points(self) -> list[tuple[int, float]]:
         return [(k, h) for k, times in enumerate(self.edge_times) for h in times]
@@ -216,14 +217,12 @@ class FamilyProgram:
         first = self.P2 if self.P2.size else np.full_like(P[0], np.nan)
         return np.concatenate([first[None], P])
 
-    def gain(
-        self, edge_failures: dict[int, tuple[float, float]], node_failures: dict[int, tuple[float, float]]
-    ) -> None:
-        """Add the gaps at which a proof failed to the grid."""
-        for times, failures in ((self.edge_times, edge_failures), (self.node_times, node_failures)):
-            for k, (h, _) in failures.items():
-                if h not in times[k]:
-                    times[k].append(h)
+    @staticmethod
+    def gain(times: list[list[float]], failed: dict[int, tuple[float, float]]) -> None:
+        """Add the gaps at which a proof failed to the grid of edges, or to that of nodes."""
+        for k, (h, _) in failed.items():
+            if h not in times[k]:
+                times[k].append(h)
 
     def widen(self) -> bool:
         """Ask for more room between the grid points; False if there is no more."""

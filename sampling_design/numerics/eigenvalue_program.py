@@ -15,8 +15,8 @@ Source: the direction of Helmberg, Rendl, Vanderbei and Wolkowicz (1996), with M
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations_with_replacement
-from typing import NamedTuple
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
@@ -25,32 +25,36 @@ from sampling_design.numerics.conic_programs import svec
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 
+if TYPE_CHECKING:
+    from scipy import sparse
+
 _STEPS = 60  # at most: a dozen leave a relative gap of 1e-4
 _INSIDE = 0.9  # of the way to the boundary, that a step goes
 _ROOM = 0.1  # relative: how far inside of what is feasible the first point lies
 _LEAST_CENTRING, _MOST_CENTRING = 1e-3, 0.8  # of the mean product of slacks
 _NEVER = 1e-9  # where a step of this inverse length meets no boundary
+_STRIP = 128  # choices whose products with all before them are worked out together
 _MET = 1e-9  # share of what limits are exceeded by at first that counts as nothing
 
 
 class MixedMatrices(NamedTuple):
     """The program: `rows` (M, N, p, n) of N choices in M matrices, and what their weights x fulfil.
 
-    `equal` @ x = `sums`, where each choice has a one in one row, and `bounded` @ x <= `limits`. `first` are positive
-    weights that fulfil the equations, `roof` is N, positive definite.
+    `equal` @ x = `sums`, where each choice has a one in one row, and `bounded` @ x <= `limits`, with `bounded` dense or
+    sparse. `first` are positive weights that fulfil the equations, `roof` is N, positive definite.
     """
 
     rows: Array
     first: Array
     equal: Array
     sums: Array
-    bounded: Array
+    bounded: Array | sparse.csr_array
     limits: Array
     roof: Array
 
 
 class EigenvalueBracket(NamedTuple):
-    """A point: t and the `total` of y and l bracket the optimum; weights `x` (N,), multipliers `Z` (M, n, n).
+    """A point: t and the `total` of y and l bracket the optimum; weights `x` (N,), multipliers `Z` (M, n, n) and `l`.
 
     t is -inf as long as the weights exceed limits.
     """
@@ -59,6 +63,7 @@ class EigenvalueBracket(NamedTuple):
     total: float
     x: Array
     Z: Array
+    l: Array
 
 
 def brackets(program: MixedMatrices) -> Iterator[EigenvalueBracket]:
@@ -77,7 +82,10 @@ class _EigenvalueProgram:
     """
 
     def __init__(self, program: MixedMatrices) -> None:
-        rows, self.x, self.E, self.e, self.B, self.d, self.roof = program
+        from scipy import sparse
+
+        rows, self.x, self.E, self.e, bounded, self.d, self.roof = program
+        self.B = sparse.csc_array(bounded)
         M, _, self.p, n = rows.shape
         self.size = float(np.sum(rows**2, axis=(2, 3)).max()) or 1.0
         self.rows = np.moveaxis(rows, 2, 1) / np.sqrt(self.size)  # (M, p, N, n)
@@ -106,7 +114,7 @@ class _EigenvalueProgram:
     @property
     def bracket(self) -> EigenvalueBracket:
         t, total = -np.inf if self.missed else self.t, float(self.e @ self.y + self.d @ self.l)
-        return EigenvalueBracket(t * self.size, total * self.size, self.x, self.Z)
+        return EigenvalueBracket(t * self.size, total * self.size, self.x, self.Z, self.l * self.size)
 
     def _matrices(self, u: Array) -> Array:
         """Sum of u_j G_j for all matrices, less the last u times N."""
@@ -129,7 +137,7 @@ class _EigenvalueProgram:
 
     def _go(self) -> None:
         inverse = symmetrise(np.asarray(np.linalg.inv(self.S)))  # it is in the step itself: mu S^-1 is where Z is led
-        factor = sl.cho_factor(self._normal(inverse), lower=True, check_finite=False)
+        factor = sl.cho_factor(self._normal(inverse), lower=True, overwrite_a=True, check_finite=False)
         count = self.x.size + self.r.size + self.S.shape[0] * self.S.shape[1]
         gap = _complementarity(self.S, self.x, self.r, self.Z, self.s, self.l)
         step = self._direction(factor, inverse, 0.0, (0.0, 0.0, 0.0))
@@ -152,26 +160,29 @@ class _EigenvalueProgram:
         self.s = self._slack()
 
     def _normal(self, inverse: Array) -> Array:
-        """<G_j, Z G_l S^-1> summed over the matrices, s/x on the diagonal, and what the limits add.
+        """<G_j, Z G_l S^-1> summed over the matrices, s/x on the diagonal, and what the limits add: the lower triangle.
 
-        Of few rows each it is made of their products; of others, of those of matrices.
+        Of few rows each it is made of their products, in strips that a cache holds; of others, of those of matrices.
         """
         N = self.x.size
         found = np.zeros((N + 1, N + 1))
-        inner = found[:-1, :-1]
+        strips = [slice(low, min(low + _STRIP, N)) for low in range(0, N, _STRIP)]
         for c, Z, V in zip(self.rows, self.Z, inverse, strict=True):
             left, right = c @ Z, c @ V
             if self.p * (self.p + 1) <= len(Z) / 2:
-                for a, b in combinations_with_replacement(range(self.p), 2):
-                    part = (left[a] @ c[b].T) * (right[a] @ c[b].T)
-                    inner += part if a == b else part + part.T
+                for at, a, b in product(strips, range(self.p), range(self.p)):
+                    if np.any(c[a, at]):
+                        before = c[b, : at.stop].T
+                        found[at, : at.stop] += (left[a, at] @ before) * (right[a, at] @ before)
             else:
                 grams, moved = (np.einsum("pja,pjb->jab", *pair, optimize=True) for pair in ((c, c), (left, right)))
-                inner += svec(grams) @ svec(symmetrise(moved)).T
-        found[-1] = found[:, -1] = -self._products(symmetrise(self.Z @ self.roof @ inverse))
+                found[:-1, :-1] += svec(grams) @ svec(symmetrise(moved)).T
+        weighted = self.B * (self.l / self.r)[:, None]
+        for at in strips if self.d.size else ():
+            found[at, : at.stop] += (self.B[:, at].T @ weighted[:, : at.stop]).toarray()
+        found[-1] = -self._products(symmetrise(self.Z @ self.roof @ inverse))
         found[np.arange(N), np.arange(N)] += self.s / self.x
-        inner += self.B.T @ ((self.l / self.r)[:, None] * self.B)
-        return symmetrise(found)
+        return found
 
     def _direction(
         self,

@@ -5,12 +5,17 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from sampling_design import Plant, Requirement, design_schedule, read_requirement
 from sampling_design.design import sample_losses
+from sampling_design.design.bounds import relaxation
 from sampling_design.design.bounds.weak_duality import best_choice
+from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement_file import write_requirement
+from sampling_design.design.search.costs import relax_costly
 from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.numerics import conic_programs
 from tests.oracles.design import is_allowed, window_sigma_scan
 
 A = np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]])
@@ -36,6 +41,72 @@ def best_affordable(points, count, limit, forbidden=(), fixed=()):
             if limit - 1 < (mask * COSTS).sum() <= limit:  # more outputs never see less
                 best = max(best, window_sigma_scan(A, C, chosen, 4.0, 4.0, places=0, mask=mask))
     return best
+
+
+def by_sets(case):
+    """The relaxation with a weight for each set of outputs that a sample can measure.
+
+    Its value, and what multipliers and a price prove of it: a linear program.
+    """
+    grid, _, starts, (crowd, most) = relaxation.relaxation_grid(case)
+    times = np.append(grid, case.fixed)
+    there = case.mask(times)
+    picks = [(i, s) for i, m in enumerate(there) for s in product(*([False, True][: 1 + a] for a in m)) if any(s)]
+    at, sets = np.array([i for i, _ in picks]), np.array([s for _, s in picks])
+    rows = relaxation.rows_at(case, times, starts, there)[:, at]
+    rows = rows * np.tile(sets, rows.shape[2] // sets.shape[1])[None, :, :, None]
+    equal = np.array([at < grid.size, *(at == grid.size + i for i in range(case.fixed.size))], dtype=float)
+    bounded = np.vstack([sets @ case.costs, crowd @ (at == np.arange(grid.size)[:, None]), -np.eye(at.size)])
+    sums = np.array([case.samples - case.fixed.size, *np.ones(case.fixed.size)])
+    limits = np.array([case.cost_limit, *most, *np.zeros(at.size)])
+    programs = ("zero", equal, sums), ("nonnegative", bounded, limits)
+    blocks = [(kind, np.pad(left, ((0, 0), (0, 1))), right) for kind, left, right in programs]
+    roof = conic_programs.svec(case.rows.N)
+    for c in rows:
+        grams = conic_programs.svec(np.swapaxes(c, -1, -2) @ c)
+        blocks.append(("psd", np.hstack([-grams.T, roof[:, None]]), np.zeros(roof.size)))
+    found = conic_programs.solve_cone_program(np.append(np.zeros(at.size), -1.0), blocks, tolerance=1e-10)
+
+    def proven(Z, price):
+        gains = np.einsum("mjpa,mab,mjpb->j", rows, Z, rows, optimize=True) - price * (sets @ case.costs)
+        best = linprog(-gains, bounded[1 : 1 + most.size], most, equal, sums)
+        return price * case.cost_limit - best.fun
+
+    return found.x[-1] / case.rows.unit, proven
+
+
+THREE = Plant(A, np.vstack([C, [0.0, 1.0, 0.0, 0.5]]))
+HOURS = {"y1": {"price": 2.0, "available": [[0, 3]]}, "y2": {"price": 1.0, "available": [[2, 4]]}}
+
+
+@pytest.mark.parametrize("states", [0, 12])
+@pytest.mark.parametrize(
+    ("plant", "limit", "more"),
+    [
+        (PLANT, 7.0, {}),
+        (PLANT, 4.1, {}),
+        (PLANT, 9.0, {"window": 8.0}),
+        (PLANT, 13.0, {"period": 8.0, "samples": 8}),
+        (PLANT, 9.0, {"forbidden": [[1.1, 1.9]], "fixed": [0.0, 2.5]}),
+        (PLANT, 8.0, {"fixed": [0.0, 1.1, 2.0, 3.2]}),
+        (PLANT, 7.0, {"sensors": HOURS}),
+        (PLANT, 5.0, {"sensors": {"y1": {"price": 2.0}, "y2": {"price": 0.0}}}),
+        (THREE, 14.0, {"timing_tolerance": 0.02, "sensors": OUTPUTS | {"y3": {"price": 3.0}}}),
+    ],
+    ids=["any", "tight", "longer", "shorter", "fixed and closed", "all fixed", "hours", "one free", "three, late"],
+)  # fmt: skip
+def test_the_relaxation_is_that_of_a_weight_for_each_set_of_outputs(monkeypatch, states, plant, limit, more):
+    """By both solvers: its value, and multipliers and a price that prove as much."""
+    requirement = asked(cost_limit=limit, **{"period": 4.0, **more})
+    case = pose(plant, requirement, requirement.samples["exactly"])
+    assert case.is_costly
+    value, proven = by_sets(case)
+    monkeypatch.setattr(relaxation, "MANY_STATES", states)
+    found = relax_costly(case)
+    assert found.record.name == ("Clarabel" if states else "sampling_design")
+    assert found.value == pytest.approx(value, rel=1e-5)
+    assert found.weights.sum() == pytest.approx(case.samples - case.fixed.size, abs=1e-6)
+    assert proven(found.Z, found.price) <= value * (1 + 1e-5)
 
 
 @pytest.mark.long

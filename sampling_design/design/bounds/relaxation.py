@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -226,44 +227,8 @@ def solve_relaxation(
 ) -> Relaxation:
     """Maximise t subject to sum w = count, linear rows w <= limits, w >= 0 and the windows' inequalities.
 
-    `rows` are those of samples at `times`, and after them those of fixed ones. Of many states a general solver would
-    need gigabytes, and ten times as long.
+    `rows` are those of samples at `times`, and after them those of fixed ones, each of which is a choice of its own.
     """
-    solve = _solve_by_rows if problem.plant.n_states > MANY_STATES else _solve_by_matrices
-    weights, multipliers, t, record = solve(problem, rows, linear, count, seconds, tolerance)
-    Z, _ = feasible_multipliers(problem, multipliers)
-    return Relaxation(times, weights, starts, Z, t / problem.rows.unit, record)
-
-
-_Limits = tuple[Array, Array]  # rows of w, and what they are at most
-_Solution = tuple[Array, Sequence[Array] | Array, float, SolverRecord]  # weights, multipliers, t
-
-
-def _solve_by_matrices(
-    problem: DesignProblem, rows: Array, linear: _Limits, count: float, seconds: float | None, tolerance: float
-) -> _Solution:
-    """By a general solver, which is given every matrix."""
-    N = linear[0].shape[1]
-    cost = np.zeros(N + 1)
-    cost[-1] = -1.0
-    total = np.append(np.ones(N), 0.0)[None, :]
-    bounded = np.hstack([np.vstack([linear[0], -np.eye(N)]), np.zeros((linear[0].shape[0] + N, 1))])
-    blocks: list[tuple[str, Array, Array]] = [
-        ("zero", total, np.array([count])),
-        ("nonnegative", bounded, np.concatenate([linear[1], np.zeros(N)])),
-    ]
-    roof = conic_programs.svec(problem.rows.N)[:, None]
-    for grams in map(squares, rows):
-        constant = grams[N:].sum(axis=0)
-        blocks.append(("psd", np.hstack([-conic_programs.svec(grams[:N]).T, roof]), conic_programs.svec(constant)))
-    found = conic_programs.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
-    return np.clip(np.nan_to_num(found.x[:N]), 0.0, None), found.z[2:], found.x[-1], found.record
-
-
-def _solve_by_rows(
-    problem: DesignProblem, rows: Array, linear: _Limits, count: float, seconds: float | None, tolerance: float
-) -> _Solution:
-    """By `eigenvalue_program`, in which a fixed sample is a choice of its own."""
     N = linear[0].shape[1]
     free, fixed = N if count > 0 else 0, rows.shape[1] - N
     own = np.append(np.zeros(free), np.arange(1.0, fixed + 1))  # which equation a choice belongs to
@@ -273,10 +238,56 @@ def _solve_by_rows(
     program = MixedMatrices(
         rows=rows[:, N - free :], first=np.where(own > 0, 1.0, count / max(free, 1)),
         equal=(own == each).astype(float), sums=np.where(each[:, 0] > 0, 1.0, count),
-        bounded=bounded, limits=linear[1] + tolerance * np.maximum(np.abs(linear[1]), 1.0), roof=problem.rows.N,
+        bounded=bounded, limits=linear[1], roof=problem.rows.N,
     )  # fmt: skip
+    found = solve_program(program, seconds, tolerance)
+    Z, _ = feasible_multipliers(problem, found.Z)
+    weights = np.append(found.x[:free], np.zeros(N - free))
+    return Relaxation(times, weights, starts, Z, found.t / problem.rows.unit, found.record)
+
+
+class MixedSolution(NamedTuple):
+    """What a solver leaves: weights of the choices, multipliers of the matrices and of the limits, and t."""
+
+    x: Array
+    Z: Sequence[Array] | Array
+    l: Array
+    t: float
+    record: SolverRecord
+
+
+def solve_program(program: MixedMatrices, seconds: float | None, tolerance: float = TOLERANCE) -> MixedSolution:
+    """Solve, cut short after `seconds`.
+
+    Of many states a general solver would need gigabytes, and ten times as long.
+    """
+    solve = _solve_by_rows if len(program.roof) > MANY_STATES else _solve_by_matrices
+    return solve(program, seconds, tolerance)
+
+
+def _solve_by_matrices(program: MixedMatrices, seconds: float | None, tolerance: float) -> MixedSolution:
+    """By a general solver, which is given every matrix."""
+    from scipy import sparse
+
+    N, roof = program.first.size, conic_programs.svec(program.roof)[:, None]
+    of_x = np.vstack([sparse.csr_array(program.bounded).toarray(), -np.eye(N)])
+    blocks: list[tuple[str, Array, Array]] = [
+        ("zero", np.pad(program.equal, ((0, 0), (0, 1))), program.sums),
+        ("nonnegative", np.pad(of_x, ((0, 0), (0, 1))), np.append(program.limits, np.zeros(N))),
+    ]
+    for grams in map(squares, program.rows):
+        blocks.append(("psd", np.hstack([-conic_programs.svec(grams).T, roof]), np.zeros(roof.size)))
+    cost = np.append(np.zeros(N), -1.0)
+    found = conic_programs.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
+    x, l = (np.clip(np.nan_to_num(part), 0.0, None) for part in (found.x[:N], found.z[1][: program.limits.size]))
+    return MixedSolution(x, found.z[2:], l, found.x[-1], found.record)
+
+
+def _solve_by_rows(program: MixedMatrices, seconds: float | None, tolerance: float) -> MixedSolution:
+    """By `eigenvalue_program`, with limits just so loose that something lies inside them."""
+    loose = program.limits + tolerance * np.maximum(np.abs(program.limits), 1.0)
     budget, steps, status = Budget(seconds), 0, conic_programs.INACCURATE
-    for steps, found in enumerate(brackets(program)):  # noqa: B007
+    for steps, found in enumerate(brackets(program._replace(limits=loose))):  # noqa: B007
         if found.total - found.t <= tolerance * min(abs(found.t), abs(found.total)):
             status = conic_programs.SOLVED
         elif budget.over:
@@ -285,7 +296,7 @@ def _solve_by_rows(
             continue
         break
     record = SolverRecord("sampling_design", __version__, status, steps, {"tolerance": tolerance})
-    return np.append(found.x[:free], np.zeros(N - free)), found.Z, found.t, record
+    return MixedSolution(found.x, found.Z, found.l, found.t, record)
 
 
 def feasible_multipliers(problem: DesignProblem, found: Sequence[Array] | Array) -> tuple[Array, float]:

@@ -12,8 +12,9 @@ import numpy as np
 from sampling_design.design.bounds.relaxation import (
     Relaxation,
     feasible_multipliers,
-    grams_at,
     relaxation_grid,
+    rows_at,
+    solve_program,
     unsolved,
 )
 from sampling_design.design.problem.choices import affordable_choices
@@ -24,7 +25,7 @@ from sampling_design.design.search.fedorov_exchange import at_shares, even, is_a
 from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, FoundSchedule, SearchTrial
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
-from sampling_design.numerics import conic_programs
+from sampling_design.numerics.eigenvalue_program import MixedMatrices
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -37,49 +38,55 @@ _EACH, _TRIED = 2, 8  # refined of what the same numbers of outputs measure, and
 
 
 def relax_costly(problem: DesignProblem, seconds: float | None = None) -> Relaxation:
-    """Maximise t over weights of samples w and of their measurements u <= w with sum cost u within the limit."""
-    grid, _, starts, crowd = relaxation_grid(problem)
+    """Maximise t over weights of samples w and of their measurements u <= w <= sum u with sum cost u within the limit.
+
+    A sample that one output alone can see is its own measurement. The weights u, and one that sees nothing, sum to more
+    than they ever reach without it: so each stands in an equation, as `MixedMatrices` asks.
+    """
+    grid, _, starts, (crowd, limits) = relaxation_grid(problem)
     if seconds is not None and seconds <= 0:
         return unsolved(problem, grid, starts)
-    times = np.concatenate([grid, problem.fixed])
-    mask, costs = problem.mask(times), _costs(problem)
-    grams = np.stack([grams_at(problem, times, starts, mask & only) for only in np.eye(costs.size, dtype=bool)], axis=2)
-    N, p, M = times.size, costs.size, starts.size
-    eye, free = np.eye(N), np.arange(N) < grid.size
-    each = np.repeat(eye, p, axis=0)  # the sample that a measurement belongs to
-    equal = np.vstack([free, eye[~free]])
-    none = np.zeros((N * p, N))
-    inequalities = [
-        (np.hstack([np.zeros(N), np.tile(costs, N)])[None], np.array([problem.cost_limit])),
-        (np.hstack([-each, np.eye(N * p)]), np.zeros(N * p)),
-        (np.hstack([none, -np.eye(N * p)]), np.zeros(N * p)),
-        (np.hstack([eye, -each.T]), np.zeros(N)),
-        (np.hstack([crowd[0], np.zeros((crowd[0].shape[0], N - grid.size + N * p))]), crowd[1]),
-    ]
-    spare = float(problem.samples - problem.fixed.size)
-    blocks: list[tuple[str, Array, Array]] = [
-        ("zero", _padded(equal, N * p + 1), np.append(spare, np.ones(N - grid.size))),
-        (
-            "nonnegative",
-            _padded(np.vstack([A for A, _ in inequalities]), 1),
-            np.concatenate([b for _, b in inequalities]),
-        ),
-    ]
-    roof = conic_programs.svec(problem.rows.N)[:, None]
-    for m in range(M):
-        vectorised = conic_programs.svec(grams[m].reshape(N * p, *grams.shape[-2:])).T
-        blocks.append(("psd", np.hstack([np.zeros((roof.size, N)), -vectorised, roof]), np.zeros(roof.size)))
-    cost = np.zeros(N + N * p + 1)
-    cost[-1] = -1.0
-    found = conic_programs.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
-    Z, mass = feasible_multipliers(problem, found.z[2:])
-    price = float(np.nan_to_num(max(found.z[1][0], 0.0))) / mass
-    weights = np.clip(np.nan_to_num(found.x[: grid.size]), 0.0, None)
-    return Relaxation(grid, weights, starts, Z, found.x[-1] / problem.rows.unit, found.record, price)
+    free = grid.size if problem.samples > problem.fixed.size else 0
+    program = _program(problem, np.concatenate([grid[:free], problem.fixed]), starts, crowd[:, :free], limits)
+    found = solve_program(program, seconds)
+    Z, mass = feasible_multipliers(problem, found.Z)
+    begin = found.x.size - free - problem.fixed.size - 1
+    weights = np.append(found.x[begin : begin + free], np.zeros(grid.size - free))
+    price = float(found.l[0]) / problem.cost_limit / mass
+    return Relaxation(grid, weights, starts, Z, found.t / problem.rows.unit, found.record, price)
 
 
-def _padded(A: Array, columns: int) -> Array:
-    return np.hstack([A, np.zeros((A.shape[0], columns))])
+def _program(problem: DesignProblem, times: Array, starts: Array, crowd: Array, limits: Array) -> MixedMatrices:
+    """Choices are measurements, then samples at `times`, the fixed ones last, then the one that sees nothing."""
+    from scipy import sparse
+
+    free, fixed, paid = crowd.shape[1], problem.fixed.size, _costs(problem) / problem.cost_limit
+    mask = problem.mask(times)
+    single = mask.sum(axis=1, keepdims=True) == 1
+    sample, output = np.nonzero(mask & ~single)  # of each measurement
+    each, several = sample.size, np.unique(sample)
+    shares = np.append(np.full(free, (problem.samples - fixed) / max(free, 1)), np.ones(fixed))
+    halfway = (shares * (1 + 1 / mask.sum(axis=1)) / 2)[sample]  # between w and what w needs at least
+    most = float(mask.sum(axis=1).max() * problem.samples)
+    first = np.concatenate([halfway, shares, [most - halfway.sum()]])
+    group = np.concatenate([np.full(each, -1), np.zeros(free), np.arange(fixed) + 1, [-1]])  # one equation for each
+    equal = (group == np.unique(group)[:, None]).astype(float)
+    seen = rows_at(problem, times, starts, mask).reshape(starts.size, times.size, -1, *problem.rows.C.shape)
+    own = np.sum(seen * single[..., None, None], axis=3)
+    unit = sparse.diags_array(1 / shares, format="csr")
+    owner = unit[sample]
+    limited = [
+        [paid[output][None], ((mask * single) @ paid)[None], np.zeros((1, 1))],
+        [None, np.pad(crowd, ((0, 0), (0, fixed))), None],
+        [sparse.diags_array(1 / shares[sample]), -owner, None],
+        [-owner.T.tocsr()[several], unit[several], None],
+    ]
+    return MixedMatrices(
+        rows=np.concatenate([seen[:, sample, :, output].swapaxes(0, 1), own, np.zeros_like(own[:, :1])], axis=1),
+        first=first, equal=equal, sums=equal @ first,
+        bounded=sparse.block_array(limited, format="csr"),
+        limits=np.concatenate([[1.0], limits, np.zeros(each + several.size)]), roof=problem.rows.N,
+    )  # fmt: skip
 
 
 def _costs(problem: DesignProblem) -> Array:

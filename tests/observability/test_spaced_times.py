@@ -178,7 +178,7 @@ def test_where_times_do_not_serve_directions_do():
 def test_growth_within_a_window_of_starts_is_no_less_than_it_is():
     rows, found = searched("random")
     stretch = bounds_of(rows, found).stretch
-    for point in (0, 1, 7, 300, 4096):
+    for point in (0, 1, 7, 300, 2048):  # half of the grid: nothing in a window lies farther from its middle
         for s in np.linspace(-1, 1, 7) * point / 4096 * rows.slack:
             assert np.linalg.norm(expm(rows.A * s), 2) ** 2 <= stretch[point] * (1 + 1e-12)
 
@@ -192,7 +192,7 @@ def test_what_grows_costs_the_other_states_no_digits():
     slacks = np.full(10, rows.slack)
     exact = sigma_in_digits(*STEEP, rows.times(slacks))
     assert exact == pytest.approx(6.0122e-5, rel=1e-4)
-    assert np.linalg.norm(rows.blur(rows.times(slacks))) > 3 * exact
+    assert np.linalg.norm(rows.blur(rows.plant.transition(rows.times(slacks)))) > 3 * exact
     sigma = worst_of(rows, slacks[None]).sigma
     assert abs(sigma - exact) <= rows.rounding(slacks) < 1e-4 * exact
     assert not rows.counts_as_zero(sigma, slacks)
@@ -206,7 +206,7 @@ def test_rows_in_coordinates_that_see_alike_are_as_exact_as_they_say(name):
     _, inverse = rows.coordinates(slacks)
     inner, back = rows.within(inverse)
     times = inner.times(slacks)[[0, 3, -1]]
-    allowed = inner.blur(times)
+    allowed = inner.blur(inner.plant.transition(times))
     with mpmath.workdps(80):
         R = matrix(np.linalg.qr(inverse, mode="r"))
         true = mpmath.inverse(R)

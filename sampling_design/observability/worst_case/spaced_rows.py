@@ -247,9 +247,8 @@ class SpacedRows:
         both = np.linalg.norm(np.einsum("apn,bn->abp", seen, later), axis=2)
         return _MARGIN * whole * float(both[np.add.outer(times, times) <= whole * (1 + 1e-9)].max())
 
-    def blur(self, times: Array) -> Array:
-        """How far rounding can move |C e^{A tau} z|, |z| = 1, for each of `times` (N,)."""
-        flow = self.plant.transition(times)
+    def blur(self, flow: Array) -> Array:
+        """How far rounding can move |C e^{A tau} z|, |z| = 1, for each e^{A tau} of `flow` (N, n, n)."""
         if self.astray is None:
             return np.asarray(self.grade * float(np.linalg.norm(self.C)) * np.linalg.norm(flow, axis=(1, 2)))
         return np.asarray(self.grade * np.linalg.norm(np.abs(self.C) @ np.abs(flow), axis=(1, 2)) + self.astray)
@@ -273,7 +272,7 @@ class SpacedRows:
 
     def _blurred(self, slacks: Array, moves: Array | float) -> float:
         """How far it moves the rows of one schedule."""
-        return float(np.linalg.norm(self.blur(self.readings(self.times(slacks), moves).ravel())))
+        return float(np.linalg.norm(self.blur(self.plant.transition(self.readings(self.times(slacks), moves).ravel()))))
 
     def counts_as_zero(self, sigma: float, slacks: Array, moves: Array | float = 0.0) -> bool:
         """Whether sigma of this schedule cannot be distinguished from 0."""

@@ -143,7 +143,10 @@ class SphereTables:
         radii = np.array([group.radius for group in rows.groups])
         with np.errstate(over="ignore"):
             drifts = radii * slopes * np.exp(self.growth * radii)
-        return float(np.linalg.norm(drifts) + np.linalg.norm(rows.blur(rows.lags)) * np.linalg.norm(self.basis))
+        return float(
+            np.linalg.norm(drifts)
+            + np.linalg.norm(rows.blur(rows.plant.transition(rows.lags))) * np.linalg.norm(self.basis)
+        )
 
     def _rotation(self, worst: Array) -> Array:
         """The rotation to the axes that the first sample sees, then to those of the worst schedule known.
@@ -256,8 +259,9 @@ class SphereTables:
         times = np.minimum(slack + self.rows.offsets[sample], self.rows.window) + group.lag + moves[move]
         step, across = self.steps(cells, point), 2 * group.radius / max(moves.size - 1, 1)
         widest = np.maximum(step, slack - self.knot(cells, np.maximum(point - 1, 0))) + across
-        blur = 2 * self.rows.blur(times) ** 2 / self.forgiven / (1 - self.forgiven)
-        curve = self._curve(self.rows.read(group, times), step, self.rows.A, widest, self.rows.blur(times), across)
+        astray = self.rows.blur(self.rows.plant.transition(times))
+        blur = 2 * astray**2 / self.forgiven / (1 - self.forgiven)
+        curve = self._curve(self.rows.read(group, times), step, self.rows.A, widest, astray, across)
         return curve, blur
 
     def starts(self, cells: int) -> StartTable:

@@ -193,37 +193,50 @@ class _TimeSearch:
 
 
 class _CellBounds:
-    """Rows with three derivatives at all points of the finest grid, and what lies below G in cells of times."""
+    """Rows with three derivatives at points of the finest grid, and what lies below G in cells of times.
+
+    Points are worked out when a cell asks for them first: of many states all of them take longer than many a budget.
+    """
 
     def __init__(self, rows: SpacedRows, inner: SpacedRows, basis: Array, forgiven: float) -> None:
         self.forgiven, self.count, self.n, self.wide = forgiven, rows.count, rows.n, rows.slack / _FINEST
-        self.slacks = rows.slack * np.arange(_FINEST + 1) / _FINEST
-        times, A = rows.times(self.slacks[:, None]).T, inner.A
-        self.growth = float(np.abs(np.linalg.eigvalsh((A + A.T) / 2)).max(initial=0.0)) * (1 + 1e-9)
-        values, astray = inner.C @ inner.plant.transition(times.ravel()), inner.blur(times.ravel())
-        shape, self.rows = (*times.shape, rows.p, rows.n), []
-        for _ in range(3):
-            self.rows.append(values.reshape(shape))
-            values = values @ A
-        self.third = np.linalg.norm(values, axis=(1, 2)).reshape(times.shape) * (1 + 1e-9)
-        rate = 2 * float(np.linalg.norm(A))
-        self.astray = [(astray * rate**j).reshape(times.shape) for j in range(3)]
+        self.slacks, self.inner, self.basis = rows.slack * np.arange(_FINEST + 1) / _FINEST, inner, basis
+        self.growth = float(np.abs(np.linalg.eigvalsh((inner.A + inner.A.T) / 2)).max(initial=0.0)) * (1 + 1e-9)
         self.rounding = 16 * (rows.count + rows.n + rows.p) ** 1.5 * _EPS
-        back = inner.plant.transition(-self.slacks)
-        start = basis @ back
-        self.norm = np.swapaxes(start, 1, 2) @ start
-        summed, length = (np.linalg.norm(part, axis=(1, 2)) for part in (np.abs(basis) @ np.abs(back), start))
-        self.lost = 3 * inner.grade * summed * length + self.rounding * length**2
+        self.times = rows.times(self.slacks[:, None]).T
+        self.rows = [np.empty((*self.times.shape, rows.p, rows.n)) for _ in range(3)]
+        self.third, *self.astray = (np.empty(self.times.shape) for _ in range(4))
+        self.norm, self.lost = np.empty((_FINEST + 1, rows.n, rows.n)), np.empty(_FINEST + 1)
+        self.filled, self.filled_starts = np.zeros(self.times.shape, dtype=bool), np.zeros(_FINEST + 1, dtype=bool)
         self.stretch = self._stretches(rows)
 
+    def _fill(self, at: Integers, start: Integers) -> None:
+        """Work out what is new of points `at` (m, k) of samples, and of those at which windows `start` (m,)."""
+        asked, begin = np.zeros_like(self.filled), np.zeros_like(self.filled_starts)
+        asked[np.arange(self.count), at], begin[start] = True, True
+        new, begin = np.nonzero(asked & ~self.filled), begin & ~self.filled_starts
+        self.filled[new], self.filled_starts[begin] = True, True
+        flow = self.inner.plant.transition(self.times[new])
+        values, astray, rate = self.inner.C @ flow, self.inner.blur(flow), 2 * float(np.linalg.norm(self.inner.A))
+        for j in range(3):
+            self.rows[j][new], self.astray[j][new] = values, astray * rate**j
+            values = values @ self.inner.A
+        self.third[new] = np.linalg.norm(values, axis=(1, 2)) * (1 + 1e-9)
+        back = self.inner.plant.transition(-self.slacks[begin])
+        state = self.basis @ back
+        self.norm[begin] = np.swapaxes(state, 1, 2) @ state
+        summed, length = (np.linalg.norm(part, axis=(1, 2)) for part in (np.abs(self.basis) @ np.abs(back), state))
+        self.lost[begin] = 3 * self.inner.grade * summed * length + self.rounding * length**2
+
     def _stretches(self, rows: SpacedRows) -> Array:
-        """At least |e^{As}|^2 for all |s| up to each point of the grid."""
+        """At least |e^{As}|^2 for all |s| up to each point of the grid's first half: no window reaches farther."""
+        away = self.slacks[: _FINEST // 2 + 1]
         parts = self.wide * np.arange(_BETWEEN + 1) / _BETWEEN
         rate = float(np.abs(np.linalg.eigvalsh((rows.A + rows.A.T) / 2)).max(initial=0.0))
         with np.errstate(over="ignore"):
             most = max(np.linalg.norm(rows.plant.transition(s * parts), 2, axis=(1, 2)).max() for s in (1.0, -1.0))
             between = float(most) * np.exp(rate * self.wide / (2 * _BETWEEN))
-            there, back = (np.linalg.norm(rows.plant.transition(s * self.slacks), 2, axis=(1, 2)) for s in (1.0, -1.0))
+            there, back = (np.linalg.norm(rows.plant.transition(s * away), 2, axis=(1, 2)) for s in (1.0, -1.0))
             found = (np.maximum.accumulate(np.maximum(there, back)) * between * (1 + 1e-9)) ** 2
         found[0] = 1.0
         return np.asarray(found)
@@ -236,6 +249,7 @@ class _CellBounds:
         at, half = (cells.first + cells.last) // 2, (cells.last - cells.first + 1) // 2 * self.wide
         sample, away = np.arange(self.count), (cells.latest - cells.earliest + 1) // 2
         start, stretch = (cells.earliest + cells.latest) // 2, self.stretch[away]
+        self._fill(at, start)
         whole = stretch < _STRETCHED
         stretch = np.minimum(stretch, _STRETCHED)
         norm = (mu * stretch)[:, None, None] * (self.norm[start] + self.lost[start][:, None, None] * np.eye(self.n))

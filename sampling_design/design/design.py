@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
-from sampling_design.design.bounds.evidence import UpperBound, gap_bounded, quick_bound
+from sampling_design.design.bounds.evidence import UpperBound, bound_of_count, gap_bounded
 from sampling_design.design.bounds.ordered_windows import flow_of
 from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed, sigma_of_moved
 from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates, rival_counts
@@ -289,8 +289,7 @@ class _DesignRun:
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
             if best is not None and sized is not None and self.budget.over:
-                canon = canonical(self.posed(samples))
-                bounds[samples] = quick_bound(canon.inside, sized.relaxation).brought_back(canon)
+                bounds[samples] = bound_of_count(canonical(self.posed(samples)), sized.relaxation)
                 continue
             sized = self.sized(samples, low)
             bounds[samples] = sized.bound

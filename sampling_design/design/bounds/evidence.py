@@ -250,7 +250,14 @@ class UpperBound:
 def _part(
     problem: DesignProblem, method: Method, starts: Array, Z: Array, zones: Array | None = None, side: Side = "late"
 ) -> BoundPart:
-    """A part from multipliers in the scaled basis."""
+    """A part from multipliers in the scaled basis, with what it proves."""
+    return _unjudged(problem, method, starts, Z, zones, side).judged(problem)
+
+
+def _unjudged(
+    problem: DesignProblem, method: Method, starts: Array, Z: Array, zones: Array | None = None, side: Side = "late"
+) -> BoundPart:
+    """The same before it is looked at."""
     S = problem.rows.S
     weights = psd_part(symmetrise(S @ Z @ S.T))
     traces = np.trace(weights, axis1=1, axis2=2)
@@ -258,7 +265,7 @@ def _part(
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
     starts = starts if method == "alone" else clear_of_ends(problem, starts)
     zones = _none() if zones is None else zones
-    return BoundPart(method, starts, weights, zones, side=side, chosen=chosen_in(problem)).judged(problem)
+    return BoundPart(method, starts, weights, zones, side=side, chosen=chosen_in(problem))
 
 
 def chosen_in(problem: DesignProblem) -> Mask:
@@ -267,9 +274,15 @@ def chosen_in(problem: DesignProblem) -> Mask:
 
 
 def quick_bound(problem: DesignProblem, found: Relaxation) -> UpperBound:
-    """A bound of all schedules from multipliers made for another count of samples: one look, no relaxation."""
+    """A bound of all schedules from a relaxation's multipliers as they are."""
     part = _part(problem, "placed", found.starts, found.Z)
     return UpperBound(part.value, (part,))
+
+
+def bound_of_count(canon: CanonicalDesign, found: Relaxation) -> UpperBound:
+    """A bound of the problem itself from multipliers made for another count of samples: one look, no relaxation."""
+    part = _unjudged(canon.inside, "placed", found.starts, found.Z)
+    return UpperBound(part.value, (part,)).brought_back(canon)
 
 
 def placed_part(problem: DesignProblem, found: Relaxation, budget: Budget = ENDLESS) -> BoundPart:

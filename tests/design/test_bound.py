@@ -208,6 +208,14 @@ def test_best_cycle_is_the_best_by_enumeration():
             assert found == pytest.approx(best)
 
 
+def test_what_is_barred_stays_barred_beside_what_is_unknown():
+    values = np.array([np.inf, 1.0, -np.inf, 2.0, -np.inf])
+    with np.errstate(invalid="raise"):
+        assert bound.best_chain(values, 3, 2).tolist() == [0.0, np.inf, np.inf]
+        assert bound.best_chain(values, 4, 2).tolist() == [0.0, np.inf, -np.inf]
+        assert bound.best_cycle(values[1:], 1, 2, 4.0) == 3.0
+
+
 def test_reachable_is_a_sliding_maximum():
     x = np.random.default_rng(0).normal(size=30)
     for near, far in ((0, 0), (0, 3), (2, 2), (2, 5), (3, 7), (1, 40)):

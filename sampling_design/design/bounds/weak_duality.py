@@ -255,7 +255,7 @@ def best_chain(values: Array, apart: int, most: int) -> Array:
     layer = values
     for j in range(1, most + 1):
         if j > 1:
-            layer = values + _before(layer, apart)
+            layer = _with_cell(values, _before(layer, apart))
         best[j] = np.max(layer, initial=-np.inf)
     return best
 
@@ -273,7 +273,7 @@ def best_cycle(values: Array, apart: int, count: int, period_cells: float) -> fl
     for row, (a, b) in enumerate(pairwise([*marks, size])):
         layer[row, a:b] = values[a:b]
     for _ in range(count - 1):
-        layer = values + _before(layer, apart)
+        layer = _with_cell(values, _before(layer, apart))
     last = np.append(marks[1:] + period_cells - apart - 1e-9, size)
     layer = np.where(np.arange(size) < last[:, None], layer, -np.inf) if count > 1 else layer
     return float(layer.max())
@@ -284,7 +284,7 @@ def best_layers(layers: list[Array], arc: TimeCells, high: float) -> float:
     reach = max(int(np.floor(high / arc.width + 1e-9)) + 1, arc.apart)
     best = layers[0]
     for values in layers[1:]:
-        best = values + reachable(best, arc.apart, reach)
+        best = _with_cell(values, reachable(best, arc.apart, reach))
     return float(best.max())
 
 
@@ -298,6 +298,14 @@ def reachable(layer: Array, nearest: int, farthest: int) -> Array:
     padded = np.concatenate([np.full(farthest, -np.inf), layer])
     run = maximum_filter1d(padded, size, mode="constant", cval=-np.inf, origin=-(size // 2))
     return np.asarray(run[: layer.size])
+
+
+def _with_cell(values: Array, before: Array) -> Array:
+    """A cell more: what is barred (-inf) stays so beside a cell of which nothing is known (inf)."""
+    with np.errstate(invalid="ignore"):
+        total = values + before
+    total[np.isnan(total)] = -np.inf
+    return total
 
 
 def _before(layer: Array, apart: int) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -227,19 +229,19 @@ def pareto(
         raise typer.Exit(3 if undecided else 1)
 
 
-def _counts(text: str) -> list[int]:
+def _counts(text: str) -> Iterator[int]:
     """8,10,12 or 8-16, or both mixed."""
-    found: list[int] = []
+    found: list[range] = []
     for part in filter(None, text.split(",")):
         first, dash, last = part.partition("-")
         if not first.strip().isdecimal() or (dash and not last.strip().isdecimal()):
             raise ArgumentError(f"`--counts` must look like 8,10,12 or 8-16, got {text!r}.")
         if last and int(last) < int(first):
             raise ArgumentError(f"`--counts` must rise from the smaller number to the larger, got {part!r}.")
-        found += range(int(first), int(last or first) + 1)
+        found.append(range(int(first), int(last or first) + 1))
     if not found:
         raise ArgumentError("`--counts` must name at least one number of samples, for example 8-16.")
-    return found
+    return chain.from_iterable(found)
 
 
 def losses(

@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from sampling_design.records.workers import Workers, check_workers, numbered
 from sampling_design.schedules.jitter import TimingTolerance
 
 FORMAT = "sampling-design/pareto/1"
+MOST_COUNTS = 1000  # of one front: each is a design of its own, and a billion are not listed
 NO_NEED = "no samples needed"
 NO_TIME = "not designed: the budget ran out"
 _LEAST_SHARE = 0.05  # of an equal share of the budget: with less than that a count is not begun
@@ -211,7 +213,10 @@ def pareto_front(
     >>> [(each.samples, round(each.sigma, 6)) for each in front]
     [(1, 1.0), (4, 2.0)]
     """
-    wanted = sorted({checks.whole("counts", c, 1) for c in counts})
+    listed = list(islice(counts, MOST_COUNTS + 1))
+    wanted = sorted({checks.whole("counts", c, 1) for c in listed})
+    if len(listed) > MOST_COUNTS:
+        raise ArgumentError(f"`counts` must be at most {MOST_COUNTS} numbers of samples, got more: each is a design.")
     if not wanted:
         raise ArgumentError("`counts` must hold at least one number of samples.")
     seconds = None if budget is None else checks.nonnegative("budget", budget)

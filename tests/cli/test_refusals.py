@@ -23,7 +23,7 @@ OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.tom
 
 
 def test_counts():
-    assert _counts("2,4-6") == [2, 4, 5, 6]
+    assert list(_counts("2,4-6")) == [2, 4, 5, 6]
     for text in ("3-", "\u00b2", "2-\u00b2"):  # a digit that is no number
         with pytest.raises(ArgumentError, match="`--counts` must look like 8,10,12 or 8-16"):
             _counts(text)

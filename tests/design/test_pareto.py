@@ -122,6 +122,8 @@ def test_executors_and_backends_give_the_same_front():
 
 
 def test_bad_arguments_are_named():
+    with pytest.raises(ArgumentError, match="`counts` must be at most 1000 numbers of samples, got more"):
+        pareto_front(PLANT, REQUIREMENT, range(1, 10**12))
     with pytest.raises(ArgumentError, match="`counts` must hold at least one"):
         pareto_front(PLANT, REQUIREMENT, [])
     with pytest.raises(ArgumentError, match=r"`workers` must be a concurrent\.futures\.Executor or a Dask client or"):

@@ -22,7 +22,7 @@ from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.counterexample import NearestFailure, refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import PathCompleteGraph, graph_of, in_plant_terms, unrolled
-from sampling_design.certificates.families.program import FamilyProgram
+from sampling_design.certificates.families.program import FamilyProgram, between
 from sampling_design.certificates.families.step_proof import StepOutcome, dynamics_of, edge_conditions, node_conditions
 from sampling_design.certificates.families.step_proof import prove as proven_along
 from sampling_design.certificates.form.claims import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
@@ -43,9 +43,6 @@ from sampling_design.schedules.family import SamplingFamily
 LARGEST_LAM = 1e8  # beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding
 LAM_RTOL = 3e-3  # width of the bisection on lambda at the end; COARSE_RTOL while rates are compared
 COARSE_RTOL = 0.05
-ASIDE, LEAST_PART = 0.4, 0.05
-"""How far beside the root of the slack a lambda is tried, in widths at the end, and the least part of an interval that
-a trial takes away: about four programs where halvings take nine."""
 LEAST_FLOOR = 1e-7
 """Kept information below this fraction of the nominal schedule's counts as none: the solver's tolerance, with room."""
 LAYERS, LAYERS_GIVEN = 2, 6
@@ -132,10 +129,7 @@ class FamilySearch:
     def least_lam(
         self, program: FamilyProgram, rtol: float, start: float = 2.0, enough: float = 0.0
     ) -> tuple[float, Array | None, float, SolverRecord]:
-        """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all.
-
-        One that is `enough` ends the search.
-        """
+        """Return (lam, P, kept, solver): the least lambda on the grid, or one that is `enough`, and what is kept."""
         if program.P2 is not None:
             ratio, P, record = program.best_ratio()
             return (1 / ratio if P is not None else np.inf), P, max(ratio, 0.0), record
@@ -151,7 +145,7 @@ class FamilySearch:
                 low, missing = lam, slack
             else:
                 high, room, best, best_record = lam, slack, matrices, record
-            lam = lam**2 * 2 if np.isinf(high) else low * _between(high / low, missing, room, rtol)
+            lam = lam**2 * 2 if np.isinf(high) else low * between(high / low, missing, room, rtol)
         return (high, best, kept, best_record) if best is not None else (np.inf, None, kept, record)
 
     def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> FamilyProposal:
@@ -290,18 +284,6 @@ class FamilySearch:
                 if proposal.P is not None and proposal.horizon < known.horizon:
                     return proposal
         return known
-
-
-def _between(ratio: float, missing: float, room: float, rtol: float) -> float:
-    """Where lambda is tried next, between 1 and `ratio`: beside the root of the slack, on the side of its farther end.
-
-    In the middle (geometric) where the slack of the lower end is not known. Slack is about linear in ln lambda.
-    """
-    width, at = np.log(ratio), 0.5
-    if missing < 0:
-        at = missing / (missing - room)
-        at += np.copysign(ASIDE * np.log1p(rtol) / width, 0.5 - at)
-    return float(np.exp(width * np.clip(at, LEAST_PART, 1 - LEAST_PART)))
 
 
 def _coordinate_root(Y: Array) -> Array:

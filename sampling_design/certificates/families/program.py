@@ -37,6 +37,9 @@ MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
 """Tolerance of a second attempt where the solver failed; far below MARGIN."""
 LEAST_TIME = 0.05  # seconds that a solver is given where the budget has passed
+ASIDE, LEAST_PART = 0.4, 0.05
+"""How far beside the root of the slack a lambda is tried, in widths at the end, and the least part of an interval that
+a trial takes away: about four programs where halvings take nine."""
 MOST_KEPT = 1e3
 """Information beyond so many times the nominal schedule's is not looked for: of what decays and nothing drives there is
 no most."""
@@ -228,6 +231,18 @@ class FamilyProgram:
         """Ask for more room between the grid points; False if there is no more."""
         before, self.margin = self.margin, min(self.margin * WIDER, WIDEST)
         return self.margin > before
+
+
+def between(ratio: float, missing: float, room: float, rtol: float) -> float:
+    """Where lambda is tried next, between 1 and `ratio`: beside the root of the slack, on the side of its farther end.
+
+    In the middle (geometric) where the slack of the lower end is not known. Slack is about linear in ln lambda.
+    """
+    width, at = np.log(ratio), 0.5
+    if missing < 0:
+        at = missing / (missing - room)
+        at += np.copysign(ASIDE * np.log1p(rtol) / width, 0.5 - at)
+    return float(np.exp(width * np.clip(at, LEAST_PART, 1 - LEAST_PART)))
 
 
 def _stored(rows: Array) -> Array | sparse.csc_matrix:

@@ -63,8 +63,7 @@ class Signals(ListRecord[str]):
         units = ("",) * count if units == () else units
         if units is None or len(units) != count:
             raise ArgumentError(f"`units` must be {count} strings, one per name, got {checks.described(self.units)}.")
-        for unit in units:
-            checks.line("units", unit)
+        units = tuple(checks.line("units", unit) for unit in units)
         scales = checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")

@@ -24,7 +24,7 @@ from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     ROUNDING,
-    CovariancePrecision,
+    covariance_precision,
     overflowed,
     represented,
     rounding_energy,
@@ -144,7 +144,7 @@ class KalmanFilter(WindowedEstimator):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
             verdict, note = overflowed(self.weights, state.last, sample, residual, terms)
             x, Y, beta = self.loop.ahead(last, flow, drift)
-            return self.recorder.node(state, new, begun, x, Y, verdict._replace(beta=beta), "filter", note)
+            return self.recorder.node(state, new, begun, x, Y, (beta, *verdict[1:]), "filter", note)
         # an innovation is the difference of what was read and what was predicted, and has no other margin here
         terms += rounding_energy(self.weights, abs(y) + abs(self.plant.C).dot(abs(x)), x)
         deviation, step, weighted_innovation = root_update(covariance_root(Y), H, innovation)
@@ -152,13 +152,12 @@ class KalmanFilter(WindowedEstimator):
         cost = float(weighted_innovation.dot(weighted_innovation))
         past = 0.0 if last.sample.y is None else last.cost / flow.growth
         verdict = self._judged(state, new, terms, cost * (1 - ROUNDING))
-        if verdict.status == "bounds disproved" and last.stands:
-            verdict = verdict._replace(
-                contradiction=self._contradiction(sample, last.number + 1, (weighted_innovation, cost), (terms, own))
-            )
+        if "bounds disproved" in verdict and last.stands:
+            found = self._contradiction(sample, last.number + 1, (weighted_innovation, cost), (terms, own))
+            verdict = *verdict[:3], found
         half, flag = lapack.dtrtri(deviation, 1)
-        precision = None if flag else CovariancePrecision.of(Y, half.T)
-        return self.recorder.node(state, new, begun, x, Y, verdict, "filter", "", past + cost, precision)
+        precision = None if flag else covariance_precision(Y, half.T)
+        return self.recorder.node(state, new, begun, x, Y, verdict, "filter", cost=past + cost, precision=precision)
 
     def _with_means(self, state: EstimatorState, new: IncomingNode) -> HistoryNode:
         """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""
@@ -180,13 +179,13 @@ class KalmanFilter(WindowedEstimator):
         )
         terms += window.total(self.bounds.of_samples(window.masks)) + self._mean_noise_energy(window)
         verdict = self._judged(state, new, terms, solution.dual, solution.held)
-        if verdict.status == "bounds disproved" and last.stands:
+        if "bounds disproved" in verdict and last.stands:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
             mask[0, [output for output, _, _ in means]] = 1.0
             room = float(self.bounds.of_samples(mask)[0]) or terms
             factor = float(np.sqrt((solution.dual - terms + room) / room)) if room > 0 else np.inf
             name = self.plant.outputs.names[means[0][0]]
-            verdict = verdict._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
+            verdict = *verdict[:3], Contradiction(last.number + 1, sample.t, name, factor)
         past = 0.0 if first.sample.y is None else first.cost * passed
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
         return self.recorder.node(state, new, nodes[0].t, x, Y, verdict, "filter", cost=past + solution.cost)

@@ -26,7 +26,6 @@ from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim, choose_horizon
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
-    SolveVerdict,
     overflowed,
     rounding_energy,
     scaled_bound,
@@ -277,27 +276,28 @@ class MovingHorizonEstimator(WindowedEstimator):
         terms = scaled_bound(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
         if too_large(window.weighted(window.residual)):
             terms += window.total(self._kept_energy(window.masks))
-            verdict, note = overflowed(self.weights, state.last, sample, window.residual[-1], terms)
+            (beta, status, sound, own), note = overflowed(self.weights, last, sample, window.residual[-1], terms)
         else:
             terms += rounding_energy(self.weights, window.y, window.reference) + self._mean_noise_energy(window)
             if window.means is not None:
                 terms += rounding_energy(self.weights, window.means.y, window.reference)
             solution = self._solve(window)
             engine, note = solution.engine, solution.note or self._left_out(sample, start)
-            verdict = SolveVerdict(np.nan, solution.status, last.stands, last.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
-            if verdict.status == "ok":
+            status, sound, own = solution.status, last.stands, last.contradiction
+            if status == "ok":
                 terms += self._noise_energy(window, solution)
-                verdict = self._judged(state, new, terms, solution.dual, solution.held)
+                beta, status, sound, own = self._judged(state, new, terms, solution.dual, solution.held)
                 cost = solution.cost
-                if verdict.status == "bounds disproved" and last.stands:
+                if status == "bounds disproved" and last.stands:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
-                    verdict = verdict._replace(contradiction=self._contradiction(window, terms, solution.dual, numbers))
+                    own = self._contradiction(window, terms, solution.dual, numbers)
         if np.isnan(cost):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             self.loop.refuse_overflow(flow, sample.t, Y)
-            verdict = verdict._replace(beta=beta, sound=verdict.sound and verdict.status == "solver failed")
-        return self.recorder.node(state, new, start.s, x, freeze(Y), verdict, engine, note, cost)
+            sound = sound and status == "solver failed"
+        verdict = beta, status, sound, own
+        return self.recorder.node(state, new, start.s, x, freeze(Y), verdict, engine, note, cost=cost)
 
     def _contradiction(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]

@@ -314,22 +314,24 @@ class WindowedEstimator(OnlineEstimator):
         optimum = sliding.solve(at, start, prior, initial, gap, self.constraints.active)
         if optimum is None:
             return None, sliding
-        if optimum.path is not None:
-            if not self.constraints.hold(optimum.path, lambda: sliding.samples(at, initial)):
+        x, gains, cost, above, energy, size, path = optimum
+        if path is not None:
+            if not self.constraints.hold(path, lambda: sliding.samples(at, initial)):
                 return None, sliding
             if self._between is not None and self.constraints.x is not None:
-                points = self._between.states(state, [s, *(node.t for node in nodes[first:])], optimum.path)
+                points = self._between.states(state, [s, *(node.t for node in nodes[first:])], path)
                 if points is None or not all_inside(self.constraints.x, points):
                     return None, sliding
         terms = scaled_bound(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
-        terms += rounding(optimum.size) + optimum.energy
-        dual = optimum.cost - DUAL_MARGIN * max(optimum.above, DRIFT * terms)
-        verdict = judged(self.weights, terms, dual, nodes[-1])
-        if verdict.status == "bounds disproved" and nodes[-1].stands:
+        terms += rounding(size) + energy
+        verdict = judged(self.weights, terms, cost - DUAL_MARGIN * max(above, DRIFT * terms), nodes[-1])
+        _, status, sound, _ = verdict
+        if status == "bounds disproved" and nodes[-1].stands:
             return None, sliding
-        sliding.cancelling |= verdict.sound and optimum.above > terms
-        x, Y, precision, cost = optimum[:4]
-        return self.recorder.node(state, new, s, x, Y, verdict, "banded", "", cost, precision), sliding
+        sliding.cancelling |= sound and above > terms
+        Y, precision = gains.Y, gains.precision
+        node = self.recorder.node(state, new, s, x, Y, verdict, "banded", cost=cost, precision=precision)
+        return node, sliding
 
     def _judged(
         self, state: EstimatorState, new: IncomingNode, terms: float, dual: float, held: float = 0.0
@@ -337,7 +339,7 @@ class WindowedEstimator(OnlineEstimator):
         """Return what a solve is worth; bounds are disproved only by more than the prediction's rounding may cost."""
         last, flow, drift = state.last, new.flow, new.drift
         verdict = judged(self.weights, terms, dual, last, held)
-        if verdict.status == "bounds disproved":
+        if "bounds disproved" in verdict:
             with np.errstate(over="ignore", invalid="ignore"):
                 x, Y, _ = self.loop.propagated(last, flow, drift)
             verdict = judged(self.weights, terms, dual, last, held + in_units_of(Y, passed(last, flow, drift, x))[0])

@@ -85,14 +85,15 @@ class Recorder:
         last, flow, drift = state.nodes[-1], new.flow, new.drift
         led = passed(last, flow, None if drift is self.loop.table.no_drift else drift, x)
         loose = max(last.loose, flow.loose)
-        wider, beta, size = represented(Y, led, verdict.beta * (1 + loose), precision)
+        wider, beta, size = represented(Y, led, verdict[0] * (1 + loose), precision)
         Y = Y if wider is Y else freeze(wider)
         limited = new.t if new.sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         x.setflags(write=False)
         return HistoryNode(  # in between: status, whether it is sound, what contradicts; drift, limits, schedule
-            *new[:5], engine, note, cost, *verdict[1:], *new[6:], x, Y, beta, last.branch.after(last.number), start,
-            last.number + 1, size, loose, limited,
+            *new[:5], engine, note, cost, *verdict[1:], *new[6:], x, Y, beta=beta,
+            branch=last.branch.after(last.number), window_start=start, number=last.number + 1, held=size, loose=loose,
+            limited=limited,
         )  # fmt: skip
 
     def of_node(self, state: EstimatorState, at: int) -> Estimate:

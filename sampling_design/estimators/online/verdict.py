@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
@@ -56,16 +56,13 @@ def passed(node: HistoryNode, flow: GapFlow, drift: Array | None, x: Array) -> A
     return found
 
 
-class CovariancePrecision(NamedTuple):
-    """Of a covariance Y: |U| with U U' = Y^-1, and the trace of the inverse of Y's correlations."""
+CovariancePrecision: TypeAlias = tuple[Array, float]
+"""Of a covariance Y: |U| with U U' = Y^-1, and the trace of the inverse of Y's correlations."""
 
-    size: Array
-    condition: float
 
-    @classmethod
-    def of(cls, Y: Array, U: Array) -> CovariancePrecision:
-        """Return that of Y = (U U')^-1."""
-        return cls(abs(U), sum(Y.diagonal().dot(U * U).tolist()))
+def covariance_precision(Y: Array, U: Array) -> CovariancePrecision:
+    """Return that of Y = (U U')^-1."""
+    return abs(U), sum(Y.diagonal().dot(U * U).tolist())
 
 
 def held_entries(Y: Array, size: Array, bound: float) -> tuple[Array, Array, float]:
@@ -143,13 +140,8 @@ ROUNDING = 1e-12  # share of its terms that is added to every bound, so that rou
 LARGEST_RESIDUAL = 1e150  # residuals beyond this, in units of their weights, have squares that overflow in sums
 
 
-class SolveVerdict(NamedTuple):
-    """What a solve is worth: the bound on |x|^2_Pi, the status, whether the assumptions stand, and what contradicts."""
-
-    beta: float
-    status: Status
-    sound: bool
-    contradiction: Contradiction | None
+SolveVerdict: TypeAlias = tuple[float, Status, bool, Contradiction | None]
+"""What a solve is worth: the bound on |x|^2_Pi, the status, whether the assumptions stand, and what contradicts."""
 
 
 def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode, held: float = 0.0) -> SolveVerdict:
@@ -160,9 +152,9 @@ def judged(weights: CostWeights, terms: float, dual: float, last: HistoryNode, h
     """
     beta, rest, contradiction = terms - dual, moved(terms, last.held + held), last.contradiction
     if beta < -CONTRADICTION * terms - rest:
-        return SolveVerdict(0.0, "bounds disproved", False, contradiction)
+        return 0.0, "bounds disproved", False, contradiction
     rest += (ROUNDING + weights.loose) * terms
-    return SolveVerdict(max(beta, 0.0) + rest, "ok", last.sound and contradiction is None, contradiction)
+    return max(beta, 0.0) + rest, "ok", last.sound and contradiction is None, contradiction
 
 
 def rounding_energy(weights: CostWeights, y: Array, x: Array) -> float:
@@ -183,7 +175,7 @@ def overflowed(
     """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
     contradiction, words = last.contradiction, "A measurement is too large to be weighed."
     if np.isinf(terms):
-        return SolveVerdict(np.nan, "solver failed", last.stands, contradiction), words
+        return (np.nan, "solver failed", last.stands, contradiction), words
     if contradiction is None:
         measured = np.isfinite(sample.y)
         output = int(np.argmax(np.where(measured, np.abs(residual), -1.0)))
@@ -191,4 +183,4 @@ def overflowed(
         factor = weight * abs(float(residual[output])) / math.sqrt(terms) if terms > 0 else np.inf
         name = weights.plant.outputs.names[output]
         contradiction = Contradiction(last.number + 1, sample.t, name, factor)
-    return SolveVerdict(np.nan, "bounds disproved", False, contradiction), words
+    return (np.nan, "bounds disproved", False, contradiction), words

@@ -14,14 +14,15 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from operator import mul
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import blas, lapack
 
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, lower_band
 from sampling_design.estimators.online.history import HistoryNode, IncomingNode, WindowStart
-from sampling_design.estimators.online.verdict import CovariancePrecision
+from sampling_design.estimators.online.verdict import CovariancePrecision, covariance_precision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.records.arrays import Array
@@ -95,20 +96,9 @@ class OptimalTrajectory(NamedTuple):
     flows: list[GapFlow]
 
 
-class WindowOptimum(NamedTuple):
-    """State, covariance Y and its precision at the newest node; cost; noise and data's squares.
-
-    `above` is the cost of the reference, `path` the whole of the optimum, where that was asked for.
-    """
-
-    x: Array
-    Y: Array
-    precision: CovariancePrecision
-    cost: float
-    above: float
-    energy: float
-    size: float
-    path: OptimalTrajectory | None = None
+WindowOptimum: TypeAlias = tuple[Array, WindowGains, float, float, float, float, OptimalTrajectory | None]
+"""State at the newest node, and the gains behind it; cost, and that of the reference; noise and data's squares; the
+whole of the optimum, where that was asked for."""
 
 
 class SlidingBand:
@@ -125,6 +115,7 @@ class SlidingBand:
         self._weights, self._energy, self._n, self._p, self._eta = weights, energy, n, p, weights.eta
         self._direct, self._still = bool(weights.plant.D.any()), np.zeros(n)
         self._C, self._held = weights.plant.C, np.sqrt(n * weights.prior.diagonal())
+        self._units: list[float] = self._held.tolist()
         self.nodes: list[HistoryNode] = []
         self._known: list[IncomingNode | HistoryNode] = []
         self._flows: list[GapFlow | None] = []  # of the gap before a node
@@ -385,8 +376,7 @@ class SlidingBand:
         else:
             path = self._path(first, x, Y, moved, left.reshape(-1, n) / self._roots[rows, None], flow)
             newest = path.nodes[-1]
-        energy, above = (energy + noise) / end, (cost + gain) / end
-        return WindowOptimum(newest, gains.Y, gains.precision, cost / end, above, energy, size, path)
+        return newest, gains, cost / end, (cost + gain) / end, (energy + noise) / end, size, path
 
     def _path(self, first: int, x: Array, Y: Array, moved: Array, deviation: Array, flow: GapFlow) -> OptimalTrajectory:
         """Return the optimum at all nodes, the window's start before them.
@@ -429,8 +419,8 @@ class SlidingBand:
     ) -> tuple[Array, Array, float, float, float]:
         """Return state and covariance after a sample at the start, if any; its cost and noise bound; size of data."""
         if initial is None:
-            held = self._held * start.x
-            return start.x, prior, 0.0, 0.0, float(held.dot(held))
+            held = math.hypot(*map(mul, self._units, start.x.tolist()))
+            return start.x, prior, 0.0, 0.0, held * held
         kind, p, n = self.output_information(initial.mask), self._p, self._n
         off = kind.off.dot(np.concatenate((initial.y, start.x, initial.feedthrough)))
         innovation, rows, held = off[:p], -kind.off[:p, p : p + n], off[p:-n]
@@ -484,9 +474,10 @@ def _factored(work: Array) -> WindowGains | None:
     count, n, width = work.shape
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
-    factor, flag = lapack.dpbtrf(band, 1, overwrite_ab=1)
-    diagonal /= factor[0]
-    diagonal /= factor[0]
+    factor, flag = lapack.dpbtrf(band, 1, width, 1)  # in place
+    pivots = factor[0]
+    diagonal /= pivots
+    diagonal /= pivots
     if flag or not diagonal[diagonal.argmax()] < 1 / PIVOT_LIMIT:  # also where one is no number
         return None
     # the last diagonal block; above its diagonal the band's zeros below the last row
@@ -495,4 +486,4 @@ def _factored(work: Array) -> WindowGains | None:
     root = lapack.dtrtri(last, 1)[0]
     Y = root.T.dot(root)
     Y.setflags(write=False)
-    return WindowGains(factor, root, Y, CovariancePrecision.of(Y, last))
+    return WindowGains(factor, root, Y, covariance_precision(Y, last))

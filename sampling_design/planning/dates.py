@@ -8,7 +8,7 @@ is one that the clocks skip; where that breaks a tolerance, others are added on 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import MAXYEAR, datetime
 from typing import TypeAlias
 
 import numpy as np
@@ -36,6 +36,7 @@ from sampling_design.schedules.schedule import Schedule
 
 DatedSample: TypeAlias = tuple[float, Mask]
 
+MINUTES_OF_A_YEAR = 365.2425 * 1440  # of the calendar, on average
 MOST_ADDED = 3  # samples added around one closed stretch, at most
 AROUND = 3.0  # days around it in which they may lie
 MOST_TRIED = 24  # open times tried for each of them
@@ -174,7 +175,7 @@ def plan_dates(plan: PlanFigures, periods: int = 1, *, prove: bool = True) -> Pl
     Raises
     ------
     ArgumentError
-        If the plan has no calendar.
+        If the plan has no calendar, or so many periods have no dates.
 
     Notes
     -----
@@ -187,8 +188,11 @@ def plan_dates(plan: PlanFigures, periods: int = 1, *, prove: bool = True) -> Pl
     calendar = plan.requirement.calendar
     if calendar is None:
         raise ArgumentError("`plan` has no calendar: its times are no dates.")
-    run = _DatedPlan(plan, checks.whole("periods", periods, 1), prove)
-    return run.dates()
+    count = checks.whole("periods", periods, 1)
+    year = calendar.date(0.0).year + (count + 2) * plan.minutes(plan.schedule.period) / MINUTES_OF_A_YEAR
+    if year >= MAXYEAR:
+        raise ArgumentError(f"`periods` must end before the year {MAXYEAR}, the last of dates, got {count}.")
+    return _DatedPlan(plan, count, prove).dates()
 
 
 class _DatedPlan:

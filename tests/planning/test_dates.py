@@ -93,6 +93,8 @@ def test_a_sheet_promises_no_more_than_the_plan(week, dates, tmp_path):
 
 def test_times_without_a_calendar_are_no_dates(week):
     bare = replace(week, requirement=week.requirement.replace(calendar=None))
+    with pytest.raises(ArgumentError, match="`periods` must end before the year 9999, the last of dates"):
+        plan_dates(week, 10**9)
     with pytest.raises(ArgumentError, match="has no calendar: its times are no dates"):
         plan_dates(bare)
 

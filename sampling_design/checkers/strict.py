@@ -36,8 +36,6 @@ CONTROLS = (
     "Zp",
     "Cs",
 )  # Unicode's controls, ends of lines and half letters: no line holds them
-ONE_LINE = "must be one line without control characters"
-NOT_BLANK = "must not be blank"
 LONGEST_NAME = 60  # letters of a name that a sentence repeats
 MOST_LISTED = 12  # names that a sentence lists
 ELSEWHERE: dict[str, list[str]] = {}
@@ -301,14 +299,14 @@ def is_line(text: str) -> bool:
 def line(value: object, place: str) -> str:
     """A text of one line."""
     if not is_line(found := text(value, place)):
-        raise refuse(place, f"{ONE_LINE}, got {found!r:.60}")
+        raise refuse(place, f"must be one line without control characters, got {found!r:.60}")
     return found
 
 
 def label(value: object, place: str) -> str:
     """A name: a line that is not blank."""
     if not (found := line(value, place)).strip():
-        raise refuse(place, f"{NOT_BLANK}, got {found!r:.60}")
+        raise refuse(place, f"must not be blank, got {found!r:.60}")
     return found
 
 

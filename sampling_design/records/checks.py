@@ -364,7 +364,7 @@ def line(name: str, value: object) -> str:
     """Return `value` if it is a text of one line. Raises ArgumentError if it is none, or holds control characters."""
     text = of_kind(name, value, str, "a string")
     if not strict.is_line(text):
-        raise ArgumentError(f"`{name}` {strict.ONE_LINE}, got {text!r:.60}.")
+        raise ArgumentError(f"`{name}` must be one line without control characters, got {text!r:.60}.")
     return text
 
 
@@ -382,7 +382,7 @@ def names(name: str, value: object, length: int, prefix: str) -> tuple[str, ...]
         raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {len(result)}.")
     for each in result:
         if not line(name, each).strip():
-            raise ArgumentError(f"`{name}` {strict.NOT_BLANK}, got {each!r:.60}.")
+            raise ArgumentError(f"`{name}` must not be blank, got {each!r:.60}.")
     twice = [v for i, v in enumerate(result) if v in result[:i]]
     if twice:
         raise ArgumentError(f"`{name}` must be distinct, got {twice[0]!r} twice.")

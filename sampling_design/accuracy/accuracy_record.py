@@ -266,9 +266,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
         search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
         for part in self.proof:
-            found = [search.evaluate(part.sample, *each) for each in zip(part.directions, part.gains, strict=True)]
-            directions = search.directions[part.sample]
-            directions.mu, directions.gains = part.directions, found  # all of them, as when they bounded the rows
+            found = search.evaluate(part.sample, part.directions, part.gains)
+            search.directions[part.sample].hold(part.directions, found)  # all, as when they bounded the rows
         enough = noise is not None and is_enough(noise, added(search, asked, known), KEPT_ROOM)
         return search if enough or not asked.timing_tolerance else None
 

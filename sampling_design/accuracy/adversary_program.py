@@ -206,7 +206,7 @@ class ConeWindow:
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
         """Return what any gains prove, for all real times."""
-        return evaluated(self.system, self.nodes, self.start, mu, gains)
+        return evaluated(self.system, self.nodes, self.start, mu[None], [gains])[0]
 
     def _admissible(self, mu: Array, point: StageSolution) -> Adversary:
         """The solver's disturbance, simulated from its start (0 unless that is a set) and scaled until admissible."""

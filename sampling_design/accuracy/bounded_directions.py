@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-12  # two directions are one if their cosine, in units of the reach, is 1 within this
 PARTNERS = 4  # directions tried beside the nearest one
+AT_ONCE = 2**14  # numbers that are worked on at once: what a cache holds
 NEIGHBOURS = (64, 16, 4, 1)  # how far away, on both sides, the neighbours are whose pairs a target tries
 
 
@@ -39,10 +41,16 @@ class BoundedDirections:
     basis: Array  # (n, r): orthonormal; what the samples determine. Other directions are not bounded at all.
     reach: Array  # (r,): bounds on rho of the columns of `basis`
     mu: Array = field(init=False)  # (m, n)
-    gains: list[Gains] = field(default_factory=list)  # what bounds them
+    gains: list[Gains] = field(init=False)  # what bounds them
+    values: Array = field(init=False)  # (m,): bounds on rho of the directions
 
     def __post_init__(self) -> None:
-        self.mu = np.zeros((0, len(self.basis)))
+        self.hold(np.zeros((0, len(self.basis))), [])
+
+    def hold(self, mu: Array, gains: list[Gains]) -> None:
+        """Keep these directions, and no others."""
+        self.mu, self.gains, self.values = mu, gains, np.array([each.value for each in gains])
+        vars(self).pop("_known", None)
 
     @classmethod
     def of(
@@ -50,7 +58,7 @@ class BoundedDirections:
     ) -> BoundedDirections:
         """Those that were kept, all of them."""
         directions = cls(np.eye(len(reach)), reach)
-        directions.mu, directions.gains = mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)]
+        directions.hold(mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)])
         return directions
 
     @property
@@ -63,17 +71,11 @@ class BoundedDirections:
         """Whether every direction is bounded."""
         return bool(self.basis.shape[0] == self.basis.shape[1])
 
-    @property
-    def values(self) -> Array:
-        """Bounds on rho of the directions."""
-        return np.array([gains.value for gains in self.gains])
-
     def find(self, mu: Array) -> int | None:
         """The place of a direction among those that are bounded."""
         if not self.gains:
             return None
-        unit, known = (self._units(x) for x in (mu[None], self.mu))
-        near = np.abs(known @ unit[0])
+        near = np.abs(self._known[1] @ self._units(mu[None])[1][0])
         best = int(np.argmax(near))
         return best if near[best] > 1 - SAME else None
 
@@ -83,18 +85,17 @@ class BoundedDirections:
             return
         place = self.find(mu)
         if place is None:
-            self.mu = np.vstack([self.mu, mu])
-            self.gains.append(gains)
+            self.hold(np.vstack([self.mu, mu]), [*self.gains, gains])
         else:
-            self.mu = self.mu.copy()
-            self.mu[place], self.gains[place] = mu, gains
+            directions, others = self.mu.copy(), self.gains.copy()
+            directions[place], others[place] = mu, gains
+            self.hold(directions, others)
         self._prune()
 
     def extend(self, mu: Array, gains: Sequence[Gains]) -> None:
         """Keep those of many bounded directions (m, n) that others do not bound better."""
         better = [k for k, bound in enumerate(self.bound(mu)[: len(gains)]) if gains[k].value < bound]
-        self.mu = np.vstack([self.mu, mu[better]])
-        self.gains += [gains[k] for k in better]
+        self.hold(np.vstack([self.mu, mu[better]]), self.gains + [gains[k] for k in better])
         self._prune()
 
     def _prune(self) -> None:
@@ -103,18 +104,25 @@ class BoundedDirections:
             return
         bounds = self.bound(self.mu)
         keep = np.flatnonzero(bounds >= self.values * (1 - SAME))
-        self.mu, self.gains = self.mu[keep], [self.gains[k] for k in keep]
+        if keep.size < len(self.gains):
+            self.hold(self.mu[keep], [self.gains[k] for k in keep])
 
-    @property
+    @cached_property
     def _sizes(self) -> Array:
         """(r,): the reach, and 1, as coordinates are, where it is endless."""
         return np.where(np.isfinite(self.reach), self.reach, 1.0)
 
-    def _units(self, mu: Array) -> Array:
-        """Directions in units of the reach, of length one."""
+    def _units(self, mu: Array) -> tuple[Array, Array, Array]:
+        """Directions in units of the reach, the same of length one, and their lengths; 1 where that is 0."""
         scaled = mu @ self.basis * self._sizes
-        size = np.linalg.norm(scaled, axis=1, keepdims=True)
-        return np.asarray(scaled / np.where(size > 0, size, 1.0))
+        size = np.linalg.norm(scaled, axis=1)
+        size = np.where(size > 0, size, 1.0)
+        return scaled, scaled / size[:, None], size
+
+    @cached_property
+    def _known(self) -> tuple[Array, Array, Array]:
+        """The directions that are bounded, like that."""
+        return self._units(self.mu)
 
     def fit(self, targets: Array) -> tuple[Index, Array]:
         """Return each target as mu[t] = sum_k share[t, k] direction[place[t, k]] + rest: places and shares (T, 2).
@@ -126,33 +134,29 @@ class BoundedDirections:
         count, directions = len(targets), len(self.gains)
         if not directions:
             return np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0))
-        scaled = [x @ self.basis * self._sizes for x in (targets, self.mu)]
-        lengths = [np.linalg.norm(x, axis=1) for x in scaled]
-        unit = np.where(lengths[1] > 0, lengths[1], 1.0)
-        T, U = scaled[0] / np.where(lengths[0] > 0, lengths[0], 1.0)[:, None], scaled[1] / unit[:, None]
-        near, rows, cosines = T @ U.T, np.arange(count), U @ U.T
-        size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
-        rest = np.sqrt(np.maximum(1 - near**2, 0.0))
-        alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
+        (X, T, lengths), (Y, U, unit) = self._units(targets), self._known
+        near, rows = T @ U.T, np.arange(count)
+        firsts, seconds = self._near(near)
+        alone = firsts[0]
         place = np.stack([alone, alone], axis=1)
-        share = np.stack([near[rows, alone], np.zeros(count)], axis=1) * lengths[0][:, None] / unit[place]
+        share = np.stack([near[rows, alone], np.zeros(count)], axis=1) * lengths[:, None] / unit[place]
         if directions == 1:
             return place, share
         value, bounded = self.judged(targets, place, share), self.values
-        X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in scaled)
+        X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in (X, Y))
 
         def tried(first: Index, second: Index) -> None:
             """Take pairs (k, t) and (k, t), k of them for each target, where they bound it better."""
-            gram, a, b = cosines[first, second], near[rows, first], near[rows, second]
+            gram, a, b = (U[first] * U[second]) @ np.ones(X.shape[1]), near[rows, first], near[rows, second]
             det = 1 - gram**2
             alike = det < SAME
             det[alike] = np.inf
             one, two = (a - gram * b) / det, (b - gram * a) / det
-            one, two = one * lengths[0] / unit[first], two * lengths[0] / unit[second]
+            one, two = one * lengths / unit[first], two * lengths / unit[second]
             left = X - one[..., None] * Y[first]
             left -= two[..., None] * Y[second]
             combined = np.abs(one) * bounded[first] + np.abs(two) * bounded[second]
-            combined += np.abs(left, out=left).sum(axis=-1)
+            combined += np.abs(left, out=left) @ np.ones(X.shape[1])
             combined[alike | ~(combined < value)] = np.inf
             which = np.argmin(combined, axis=0)
             least = combined[which, rows]
@@ -163,19 +167,38 @@ class BoundedDirections:
                 share[better, 0], share[better, 1] = one[at], two[at]
                 value[better] = least[better]
 
-        firsts, seconds = list[Index](), list[Index]()
-        nearest = np.argmax(size, axis=1)
-        for first in (alone,) if np.array_equal(alone, nearest) else (alone, nearest):
-            across = cosines[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
-            apart = np.where(across < 0, -size, 2 - size)
-            other = np.argpartition(apart, min(PARTNERS, directions) - 1, axis=1)[:, :PARTNERS]
-            firsts += [first] * other.shape[1]
-            seconds += list(other.T)
-        tried(np.array(firsts), np.array(seconds))
+        tried(firsts, seconds)
         for shift in NEIGHBOURS if count > 1 else ():
             around = (rows + np.array([[-shift], [shift]])) % count
             tried(place[around, 0], place[around, 1])
         return place, share
+
+    def _near(self, near: Array) -> tuple[Index, Index]:
+        """First and second places (k, T) of pairs that may serve targets: whose cosines with the directions are given.
+
+        The first is what bounds a target best alone, or else the nearest. A few at once, which a cache holds.
+        """
+        (count, directions), (_, U, unit) = near.shape, self._known
+        partners, value = min(PARTNERS, directions), self.values / unit
+        firsts, seconds = (np.empty((2, k, count), dtype=np.intp) for k in (1, partners))
+        most = max(1, AT_ONCE // directions)
+        for part in (slice(k, k + most) for k in range(0, count, most)):
+            cosine, rows = near[part], np.arange(count)[part] - part.start
+            size, side = np.abs(cosine), np.where(cosine < 0, -1.0, 1.0)
+            left = np.sqrt(np.maximum(1 - cosine**2, 0.0))
+            alone, nearest = np.argmin(size * value + left * np.sqrt(U.shape[1]), axis=1), np.argmax(size, axis=1)
+            for way, first in enumerate((alone, nearest)):
+                firsts[way, 0, part] = first
+                if way and np.array_equal(alone, nearest):
+                    seconds[1, :, part] = seconds[0, :, part]
+                    continue
+                across = U[first] * side[rows, first, None] @ U.T * side < size * size[rows, first, None]
+                apart = np.where(across, size, size - 2)
+                for k in range(partners):
+                    second = seconds[way, k, part] = np.argmax(apart, axis=1)
+                    apart[rows, second] = -np.inf
+        firsts = np.repeat(firsts, partners, axis=1)
+        return firsts.reshape(-1, count), seconds.reshape(-1, count)
 
     def bound(self, targets: Array) -> Array:
         """Return bounds on rho of directions (t, n)."""
@@ -207,10 +230,18 @@ class BoundedDirections:
 
 def combined(
     system: SampledSystem, j: int, mu: Array, directions: BoundedDirections
-) -> tuple[tuple[Array, ...], Array]:
-    """Gains for mu'z_j put together from those of the nearest directions, the latest last; and of what: nearly mu."""
-    place, share = directions.fit(mu[None])
-    parts = [[a * g for g in directions.gains[k].gains] for k, a in zip(place[0], share[0], strict=True)]
-    empty = [np.zeros(len(system.samples[k].H)) for k in system.latest(j, max(map(len, parts)))]
-    both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
-    return tuple(a + b for a, b in zip(*both, strict=True)), share[0] @ directions.mu[place[0]]
+) -> list[tuple[tuple[Array, ...], Array]]:
+    """Gains for rows of mu'z_j, mu (m, n), put together from those of the nearest directions, the latest last.
+
+    Each with what it is put together for: nearly its row.
+    """
+    found = []
+    for places, shares in zip(*directions.fit(mu), strict=True):
+        parts = [directions.gains[k].gains for k in places]
+        count = max(map(len, parts))
+        ends = np.cumsum([0, *(len(system.samples[k].H) for k in system.latest(j, count))])
+        total = np.zeros(ends[-1])
+        for part, share in zip(parts, shares, strict=True):
+            total[ends[count - len(part)] :] += share * np.concatenate([[], *part])
+        found.append((tuple(np.split(total, ends[1:-1])), shares @ directions.mu[places]))
+    return found

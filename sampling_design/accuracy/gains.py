@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet
+from sampling_design.accuracy.gap_table import AT_ONCE
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, noise_cost
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
@@ -48,11 +49,26 @@ class RowEnd:
         return self.value - (1 - AGAIN) * self.room
 
 
-def evaluated(system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: list[Array]) -> Gains:
-    """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains)."""
-    cost, g, scale, _ = followed_back(system, nodes, mu[:, None], lambda k, _: gains[k][:, None])
-    total = float(cost[0]) + start.support(g[:, 0], float(scale[0]))
-    return Gains(total * (1 + ROUNDING), tuple(gains))
+def evaluated(
+    system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: Sequence[Sequence[Array]]
+) -> list[Gains]:
+    """Return what gains, each for its row of mu'z_K, mu (m, n), prove: h_start(rest) + int h_W(G'g) + sum h_V(gains).
+
+    A few rows at once, whose columns at all nodes a cache holds.
+    """
+    most = max(1, AT_ONCE // mu.shape[1] // len(nodes))
+    parts = [slice(first, first + most) for first in range(0, len(gains), most)]
+    return [each for few in parts for each in _evaluated(system, nodes, start, mu[few], gains[few])]
+
+
+def _evaluated(
+    system: SampledSystem, nodes: list[int], start: InitialSet, mu: Array, gains: Sequence[Sequence[Array]]
+) -> list[Gains]:
+    """The same of all at once."""
+    at = [np.column_stack(lam) for lam in zip(*gains, strict=True)]
+    cost, g, scale, _ = followed_back(system, nodes, mu.T, lambda k, _: at[k])
+    totals = [c + start.support(rest, s) for c, rest, s in zip(cost.tolist(), g.T, scale.tolist(), strict=True)]
+    return [Gains(total * (1 + ROUNDING), tuple(each)) for total, each in zip(totals, gains, strict=True)]
 
 
 def followed_back(
@@ -160,7 +176,7 @@ def path_bounds(
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
     if not start.whole:  # what is free at the start must not be touched
         corrected = [cleared(system, nodes, start, column, filter_gains(system, nodes, column)) for column in mu.T]
-        return np.array([evaluated(system, nodes, start, *each).value for each in zip(mu.T, corrected, strict=True)])
+        return np.array([each.value for each in evaluated(system, nodes, start, mu.T, corrected)])
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
 

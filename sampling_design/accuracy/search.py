@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -192,12 +192,17 @@ class GainSearch:
             part = replace(adversary, value=0.0, w=adversary.w[:k], z=adversary.z[: k + 1], sample=nodes[k])
             self.adversaries[nodes[k]].append(part)
 
-    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
-        """What any gains prove of mu'z_j; no solver."""
+    def evaluate(self, j: int, mu: Array, gains: Sequence[tuple[Array, ...]]) -> list[Gains]:
+        """What any gains, each for its row of mu'z_j, mu (m, n), prove; no solver."""
         branch = len(self.system.nodes(j, 0))  # samples of which some results are out, which are beside the count
-        nodes, start = self.past(j, max(len(gains) - branch, 1), False)
-        missing = [np.zeros(len(self.system.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
-        return evaluated(self.system, nodes, start, mu, [*missing, *gains])
+        found = dict[int, Gains]()
+        for count in dict.fromkeys(map(len, gains)):
+            nodes, start = self.past(j, max(count - branch, 1), False)
+            missing = [np.zeros(len(self.system.samples[node].H)) for node in nodes[: len(nodes) - count]]
+            own = [k for k, each in enumerate(gains) if len(each) == count]
+            filled = [[*missing, *gains[k]] for k in own]
+            found |= zip(own, evaluated(self.system, nodes, start, mu[own], filled), strict=True)
+        return [found[k] for k in range(len(gains))]
 
     def followed(self, j: int, mu: Array, gains: tuple[Array, ...], meant: tuple[int, Array] | None = None) -> Gains:
         """The same, with the filter's gains for the past beyond theirs.
@@ -207,9 +212,9 @@ class GainSearch:
         system, (k, direction) = self.system, (j, mu) if meant is None else meant
         nodes, start = self.past(j, max(len(gains) - len(system.nodes(j, 0)), self._tail), False)
         if (meant is None and len(nodes) <= len(gains)) or not start.whole:
-            return self.evaluate(j, mu, gains)
+            return self.evaluate(j, mu[None], [gains])[0]
         gains = transferred_gains(system, nodes, mu, system.latest(k, len(gains)), direction, gains)
-        return evaluated(system, nodes, start, mu, [*gains])
+        return evaluated(system, nodes, start, mu[None], [gains])[0]
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
@@ -371,31 +376,35 @@ class GainSearch:
         Also at the highest offset above `enough` of each of `STRETCH` panels: they are all bounded anew after it.
         """
         if (j, offset) not in found.combined:
-            nodes, guessed = found.nodes[j], list[tuple[Array, Gains]]()
+            nodes = found.nodes[j]
             parts = np.array_split(np.arange(nodes.size), max(1, nodes.size // STRETCH)) if enough < np.inf else []
             tops = [int(part[np.argmax(nodes[part])]) for part in parts]
-            for o in dict.fromkeys([offset, *(o for o in tops if enough < nodes[o] < np.inf)]):
-                if (j, o) not in found.combined:
-                    found.combined.add((j, o))
-                    guessed += [(found.opened[j].mu[o], gains) for gains in self._guessed(found, j, o)]
-            if guessed:
-                mu, gains = zip(*guessed, strict=True)
-                self.directions[j].extend(np.array(mu), gains)
+            tops = [o for o in tops if enough < nodes[o] < np.inf and o != offset and (j, o) not in found.combined]
+            found.combined.update((j, o) for o in [offset, *tops])
+            self.directions[j].extend(*self._guessed(found, j, [offset, *tops]))
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
-    def _guessed(self, found: RowSearch, j: int, offset: int) -> Iterator[Gains]:
-        """Gains at an offset of gap j, from those of its own directions and of the gap where one is solved nearest."""
-        mu, d = found.opened[j].mu[offset], found.opened[j].d[offset]
-        others = {k: own for k, own in found.solved.items() if own and k != j and self.follows}
-        apart = {k: min(abs(found.opened[k].d[o] - d) for o in own) for k, own in others.items()}
-        for k in [j, *sorted(apart, key=apart.__getitem__)[:1]]:
-            opened, directions = found.opened[k], self.directions[k]
-            if not directions.gains:
-                continue
-            target = mu if k == j else opened.mu[int(np.argmin(np.abs(opened.d - d)))]
-            gains, made = combined(self.system, k, target, directions)
-            yield self.followed(j, mu, gains, (k, made)) if self.follows else self.evaluate(j, mu, gains)
+    def _guessed(self, found: RowSearch, j: int, offsets: list[int]) -> tuple[Array, list[Gains]]:
+        """Gains at offsets of gap j, from those of its own directions and of the gap where one is solved nearest.
+
+        With the rows of mu'z_j, mu (m, n), that they are for.
+        """
+        own, directions = found.opened[j], self.directions[j]
+        mu = own.mu[offsets]
+        made = combined(self.system, j, mu, directions) if directions.gains else []
+        if not self.follows:
+            return mu[: len(made)], self.evaluate(j, mu[: len(made)], [gains for gains, _ in made])
+        guessed = [(row, self.followed(j, row, gains, (j, of))) for row, (gains, of) in zip(mu, made, strict=False)]
+        others = {k: solved for k, solved in found.solved.items() if solved and k != j and self.directions[k].gains}
+        for row, d in zip(mu, own.d[offsets], strict=True):
+            apart = {k: min(abs(found.opened[k].d[o] - d) for o in solved) for k, solved in others.items()}
+            for k in sorted(apart, key=apart.__getitem__)[:1]:
+                opened = found.opened[k]
+                target = opened.mu[[int(np.argmin(np.abs(opened.d - d)))]]
+                gains, of = combined(self.system, k, target, self.directions[k])[0]
+                guessed.append((row, self.followed(j, row, gains, (k, of))))
+        return np.array([row for row, _ in guessed]).reshape(-1, mu.shape[1]), [gains for _, gains in guessed]
 
     def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
         opened = found.opened[j]

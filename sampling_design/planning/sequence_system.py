@@ -231,7 +231,7 @@ class TimingEffects:
             value, mu = float(opened.bound(known)[1].max()), opened.mu[-1]
             gains = self._plan_gains(k, i, bool(back)) if value > enough and known.whole else ()
             if gains:
-                known.add(mu, self.search.evaluate(k, mu, gains))
+                known.add(mu, *self.search.evaluate(k, mu[None], [gains]))
                 value = float(opened.bound(known)[1].max())
             if value > enough and known.whole:
                 known.add(mu, self.search.gains(k, mu))
@@ -291,7 +291,7 @@ def timing_gains(plan: PlanFigures, node: int, i: int, back: bool) -> tuple[Arra
     reach = own.reach[own.sample_of(node)]
     directions = BoundedDirections.of(reach, part.directions, part.gains, [0.0] * len(part.gains))
     mu = moved_row(own, node, plan.plant.C[i], side, back, {}).mu[-1]
-    return combined(own, node, mu, directions)[0]
+    return combined(own, node, mu[None], directions)[0][0]
 
 
 def _noisier_system(

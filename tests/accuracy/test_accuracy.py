@@ -482,7 +482,7 @@ def test_of_many_states_gains_of_one_sample_serve_at_another_one():
     solved = [seek.gains(j, mu[j]) for j in range(3)]
     for j, k in ((0, 1), (1, 2), (2, 0)):
         found = seek.followed(j, mu[j], solved[k].gains, (k, mu[k]))
-        assert seek.evaluate(j, mu[j], found.gains).value == pytest.approx(found.value, rel=1e-12)
+        assert seek.evaluate(j, mu[j][None], [found.gains])[0].value == pytest.approx(found.value, rel=1e-12)
         assert solved[j].value * (1 - 1e-4) <= found.value <= solved[j].value * 1.05
 
 

@@ -73,7 +73,7 @@ def evaluated_at(system, part, k):
 
     nodes = system.nodes(part.sample, len(part.gains[k]))
     start = InitialSet.box(system.reach[nodes[0]])
-    return evaluated(system, nodes, start, part.directions[k], list(part.gains[k])).value
+    return evaluated(system, nodes, start, part.directions[[k]], [part.gains[k]])[0].value
 
 
 def test_an_error_as_small_as_the_plans_leaves_its_gaps_as_they_are_and_a_larger_one_fades(week):

@@ -157,7 +157,7 @@ class BoundedDirections:
             left -= two[..., None] * Y[second]
             combined = np.abs(one) * bounded[first] + np.abs(two) * bounded[second]
             combined += np.abs(left, out=left) @ np.ones(X.shape[1])
-            combined[alike | ~(combined < value)] = np.inf
+            combined[alike | ~(combined < value * (1 - SAME))] = np.inf  # what rounding makes better decides nothing
             which = np.argmin(combined, axis=0)
             least = combined[which, rows]
             better = np.flatnonzero(least < value)

@@ -146,7 +146,8 @@ class GainSearch:
                 return np.asarray(self.system.reach[nodes[k]])
             return self.directions[nodes[k]].reach if self.directions[nodes[k]].whole else None
 
-        self.directions[j].extend(mu, filtered(self.system, nodes, known, mu.T))
+        found = filtered(self.system, nodes, known, mu.T)
+        self.directions[j].extend(mu, self.evaluate(j, mu[: len(found)], [each.gains for each in found]))
 
     def sketch_rows(self, rows: Collection[RowSearch]) -> None:
         """Once the budget is spent: the same for rows far from what is attained, at the ends and tops of gaps."""

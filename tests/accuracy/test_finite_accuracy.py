@@ -369,3 +369,14 @@ def test_a_search_ends_where_only_what_nobody_sought_is_left():
     found = sd.guaranteed_accuracy(plant, schedule, of=["x2", "x3"], budget=60.0, **bounds)
     assert np.all(found.closed)
     assert np.all(found.upper <= 1e-7)
+
+
+@pytest.mark.parametrize("seed", few(range(12), 6, 8))
+def test_what_is_proven_once_the_budget_is_spent_verifies(seed):
+    """Gains of a filter count as what they prove when they are evaluated again, not as what a sketch says of them."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    plant = sd.Plant(rng.normal(size=(n, n)) * 0.5 - 0.3 * np.eye(n), rng.normal(size=(2, n)))
+    schedule = sd.Schedule(np.cumsum(rng.uniform(0.2, 0.8, 8)))
+    bounds = {"w_bound": 0.1, "v_bound": [0.1, 0.1], "initial_error": 1.0}
+    assert sd.guaranteed_accuracy(plant, schedule, budget=1e-9, **bounds).verify()

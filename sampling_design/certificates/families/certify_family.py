@@ -148,14 +148,14 @@ class FamilySearch:
             lam = lam**2 * 2 if np.isinf(high) else low * between(high / low, missing, room, rtol)
         return (high, best, kept, best_record) if best is not None else (np.inf, None, kept, record)
 
-    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> FamilyProposal:
+    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM, enough: float = 0.0) -> FamilyProposal:
         """Return matrices for which every inequality is proven along its interval, or why there are none.
 
-        A lambda above `worst` on the grid ends the search, and so does the budget.
+        They are those of the least lambda, or of one that is `enough`. One above `worst` on the grid ends the search.
         """
         graph = self.graph(memory)
         program = self.program(eta, graph)
-        lam, P, kept, record = self.least_lam(program, LAM_RTOL)
+        lam, P, kept, record = self.least_lam(program, LAM_RTOL, enough=enough)
         gap = None
         for _ in range(ROUNDS):
             if P is None or lam > worst or self.budget.over:
@@ -172,7 +172,7 @@ class FamilySearch:
             program.gain(times, outcome.failed)
             if outcome.tight and not program.widen():
                 break
-            lam, P, kept, record = self.least_lam(program, LAM_RTOL, start=lam * ROOM, enough=lam * ROOM)
+            lam, P, kept, record = self.least_lam(program, LAM_RTOL, start=lam * ROOM, enough=max(enough, lam * ROOM))
         return FamilyProposal(eta, graph, None, lam, record, kept, gap)
 
     def outside(self, program: FamilyProgram, P: Array) -> Array:
@@ -241,7 +241,7 @@ class FamilySearch:
             if smaller is None or self.budget.over:
                 break
             part_of, left = replace(self, family=smaller), levels
-            while left and part_of.propose(eta, left[0]).P is None:
+            while left and part_of.propose(eta, left[0], enough=LARGEST_LAM).P is None:
                 left = left[1:]  # with less memory than a part needs, no larger one is tried
             low, high, part, levels = (fraction, high, smaller, left) if left else (low, fraction, part, levels)
         return part

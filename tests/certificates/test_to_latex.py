@@ -9,7 +9,7 @@ from sampling_design import Certificate, GapRange, PeriodicSchedule, Plant, cert
 from sampling_design.certificates import certify_detectability
 from sampling_design.records.declarations import in_latex, latex_matrix, latex_number
 
-ROUGH = "50 % & #1_x^2 {~} \\end{document} $<|>$\n"
+ROUGH = "50 % & #1_x^2 {~} \\end{document} $<|>$"
 OSCILLATOR = Plant(
     [[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s", name=ROUGH, states=["a_b", "{c\\"], outputs=["%"]
 )

@@ -635,7 +635,7 @@ def test_growth_beyond_all_numbers_within_a_gap_is_undecided_and_not_a_warning()
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        ({"name": ""}, "must have a name, and move"),
+        ({"name": ""}, r"`model\.parameters\[0\]\.name` must not be blank"),
         ({"A": [[0.0, 0.0], [0.0, 0.0]]}, "must have a name, and move"),
         (None, "must hold at least one parameter, each with a name of its own"),
     ],

@@ -378,7 +378,8 @@ def _kept(
     value, excess = attains(witness, replace(bounds, v=bounds.v[:1]))
     if not np.isfinite(excess):
         return value, excess
-    return value, max(excess, _between(witness, bounds, _looked_into(witness, phase, zones, period)))
+    closed = replace(witness, w=witness.simulate(bounds.w).w)  # what attains the value, and keeps bounds at the nodes
+    return value, max(excess, _between(closed, bounds, _looked_into(witness, phase, zones, period)))
 
 
 def _looked_into(witness: AccuracyWitness, phase: float, zones: Array | None, period: float) -> Mask:

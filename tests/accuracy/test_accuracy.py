@@ -491,3 +491,21 @@ def test_of_many_states_few_programs_close_the_bracket():
     found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=0.2, of="x1", rtol=0.05)
     assert found.closed.all()
     assert found.verify()
+
+
+def test_what_a_filter_proves_of_a_plant_that_grows_in_mixed_coordinates_is_not_lost_in_its_digits():
+    """Over 64 samples the digits of a gain grow by e^70, what the filter makes of them decays."""
+    A = [[0.12, -0.02, -0.38, 0.26], [-0.05, -0.03, -0.23, 0.1], [-0.62, -0.04, 0.42, -0.51], [0.62, 0.05, -0.33, 0.46]]
+    C = [[0.8, 0.89, 0.38, -1.2], [-2.04, 2.14, -0.05, 2.05], [-0.24, -1.18, 0.0, -1.23]]
+    plant = sd.Plant(A, C, G=np.eye(4)[:, :1])
+    spent = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.01, v_bound=1.0, budget=1e-9)
+    assert spent.verify()
+
+
+def test_rows_without_bound_verify_over_several_periods():
+    hidden = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]])
+    found = sd.guaranteed_accuracy(hidden, sd.PeriodicSchedule([1.0] * 3), w_bound=0.1, v_bound=0.1, rtol=0.1)
+    assert found.upper.tolist()[1] == np.inf
+    assert found.verify()
+    lost = sd.guaranteed_accuracy(hidden, sd.PeriodicSchedule([1.0] * 3), w_bound=0.1, v_bound=0.1, of="x2")
+    assert lost.verify()

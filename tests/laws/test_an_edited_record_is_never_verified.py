@@ -77,10 +77,6 @@ def witness(found, **changes):
     return {"witnesses": (replace(first, **changes), *rest)}
 
 
-def over_time(found, **changes):
-    return {"profile": replace(found.profile, **changes)}
-
-
 def question(found, **changes):
     return {"question": replace(found.question, **changes)}
 
@@ -94,10 +90,6 @@ EDITS = {
     "a row that is larger": (endless, lambda a: witness(a, row=a.witnesses[0].row * 1.1) | {"lower": a.lower * 1.05}),
     "outputs that show less": (endless, lambda a: witness(a, plant=replace(PLANT, C=PLANT.C / 2))),
     "a value that is not attained": (endless, lambda a: witness(a, value=a.witnesses[0].value * 1.01)),
-    "less at the samples": (endless, lambda a: {"at_samples": a.at_samples * 0.99}),
-    "less over time": (endless, lambda a: over_time(a, upper=a.profile.upper * 0.99)),
-    "more attained over time than proven": (endless, lambda a: over_time(a, lower=a.profile.upper * 1.01)),
-    "at other times": (endless, lambda a: over_time(a, edges=a.profile.edges + 0.1)),
     "another schedule": (endless, lambda a: question(a, schedule=PeriodicSchedule([1.0, 0.5, 1.5], outputs=READ))),
     "another reading": (endless, lambda a: question(a, schedule=replace(a.schedule, outputs=np.roll(READ, 1, axis=0)))),
     "no witness": (finite, lambda a: {"witnesses": (None, None), "lower": a.upper * 2}),

@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.count_problem import rival_counts
 from sampling_design.design.problem.design_problem import DesignProblem
-from sampling_design.design.problem.posing import pose, split_for
+from sampling_design.design.problem.posing import pose, split_of
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.pbh import unobservable_modes
@@ -184,17 +184,18 @@ class ScheduleDesign(PlainRecord):
         bool
             True where the new proofs carry the stated numbers (to 1e-6 relative) and every constraint holds.
         """
-        # the coordinates of rows asked for are weighed over a window that the search resolved: they stand in the record
-        mine = self.split if self.requirement.of is not None else split_for(self.plant, self.requirement)
-        retained, same = designed_plant(mine), mine.plant.same_dynamics(self.split.plant)
-        if not same or not retained.same_dynamics(designed_plant(self.split)):
-            return False
+        mine = replace(self, split=split_of(self.plant, self.requirement))
+        return mine.split.retained.n_states == self.split.retained.n_states and mine._holds(rtol)
+
+    def _holds(self, rtol: float | None) -> bool:
+        """The same of a design whose split is that of its plant."""
         if self.schedule is None:
-            return retained.n_states == 0 and min(self.sigma, self.sigma_attained, self.upper_bound) == np.inf
+            least = min(self.sigma, self.sigma_attained, self.upper_bound)
+            return self.split.retained.n_states == 0 and least == np.inf
         if self.bound is None or not self._is_admissible() or not self._is_affordable():
             return False
         width = 0.001 if self.window is None else self.window.rtol
-        proof = prove(mine, self.schedule, self.requirement, width if rtol is None else rtol)
+        proof = prove(self.split, self.schedule, self.requirement, width if rtol is None else rtol)
         holds = self.sigma * (1 - 1e-6) <= proof.lower <= self.sigma_attained * (1 + 1e-6)
         return holds and self._bounds_hold()
 

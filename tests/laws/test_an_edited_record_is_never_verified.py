@@ -1,7 +1,7 @@
 """What a record says, what proves it and what both are about belong together: whoever edits one of them is refused."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -54,9 +54,20 @@ def disproven():
 
 
 @cache
-def design():
+def design_of(gain, of=None):
     wanted = Requirement(window=6.0, period=6.0, spacing=0.3, samples={"exactly": 3}, forbidden=[[0.0, 1.0]])
-    return design_schedule(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), wanted, starts=1, branches=0)
+    plant = Plant([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -0.5]], [[gain, 0.0, 0.0]])
+    return design_schedule(plant, wanted, of=of, starts=1, branches=0)
+
+
+def split_of_another(found, *of):
+    """What makes a design of a plant that is seen half as well say what a better one has."""
+    other = design_of(2.0, *of)
+    return {what: getattr(other, what) for what in ("split", "sigma", "sigma_attained", "upper_bound", "bound")}
+
+
+design = partial(design_of, 1.0)
+of_rows = partial(design_of, 1.0, ("x1",))
 
 
 def plan_for(noise):
@@ -106,6 +117,9 @@ EDITS = {
     "one end": (disproven, lambda a: {"lower": np.zeros(2)}),
     "of a shorter period": (design, lambda a: {"schedule": PeriodicSchedule.from_times(a.schedule.times, 5.9)}),
     "of a plant seen better": (design, lambda a: {"plant": replace(a.plant, C=a.plant.C * 2)}),
+    "of a plant that shows nothing": (design, lambda a: {"plant": replace(a.plant, C=a.plant.C * 0)}),
+    "with the split of another plant": (design, lambda a: split_of_another(a)),
+    "of rows, with that split": (of_rows, lambda a: split_of_another(a, ("x1",))),
     "of more samples": (design, lambda a: {"requirement": replace(a.requirement, samples={"exactly": 2})}),
     "of better sensors": (lambda: plan_of(0.1), lambda a: plan_proof()),
     "no accuracy": (lambda: plan_of(0.1), lambda a: {"accuracy": None, "reached": a.reached * [0.0, 1.0]}),

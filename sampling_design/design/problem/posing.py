@@ -44,13 +44,24 @@ class ResolvedRequirement(NamedTuple):
 
 def split_for(plant: Plant, requirement: Requirement) -> ModalSplit:
     """Split what is designed for: the plant, or what the rows asked for need, weighed over the window."""
-    rate = requirement.decay_rate / time_factor(requirement.time_unit or plant.time_unit, plant.time_unit)
-    split = split_needed(part_for(plant, requirement.of, decay_rate=rate), rate)
+    rate = _decay_rate(plant, requirement)
+    split = split_of(part_for(plant, requirement.of, decay_rate=rate), requirement)
     if requirement.of is None:
         require_observable(plant, "a zero count", rate)
+    return split
+
+
+def split_of(part: Plant, requirement: Requirement) -> ModalSplit:
+    """The same of a plant that is what the rows asked for need, as that of a design is."""
+    split = split_needed(part, _decay_rate(part, requirement))
     if requirement.of is None or not split.retained.n_states:
         return split
     return weighed_over(split, float(resolve(split, requirement).requirement.window or 0))
+
+
+def _decay_rate(plant: Plant, requirement: Requirement) -> float:
+    """In the plant's unit of time."""
+    return requirement.decay_rate / time_factor(requirement.time_unit or plant.time_unit, plant.time_unit)
 
 
 @checked

@@ -172,7 +172,7 @@ def test_the_least_lambda_is_bracketed_by_few_programs(start, rtol):
     assert P is tried[lam][1]
     assert lam == min(each for each, holds in reached.items() if holds)
     assert lam / (1 + rtol) <= max(each for each, holds in reached.items() if not holds) < lam
-    assert len(tried) <= (10 if start > 100 else 8)
+    assert len(tried) <= (7 if rtol < 0.01 else 5) + 3 * (start > 100)
     assert search.least_lam(posed, rtol, lam * 1.2, enough=lam * 1.2)[0] == lam * 1.2
 
 

@@ -39,7 +39,7 @@ COARSE_TOLERANCE = 1e-6
 LEAST_TIME = 0.05  # seconds that a solver is given where the budget has passed
 ASIDE, LEAST_PART = 0.4, 0.05
 """How far beside the root of the slack a lambda is tried, in widths at the end, and the least part of an interval that
-a trial takes away: about four programs where halvings take nine."""
+a trial takes away: some six programs where halvings take nine."""
 MOST_KEPT = 1e3
 """Information beyond so many times the nominal schedule's is not looked for: of what decays and nothing drives there is
 no most."""

@@ -30,12 +30,7 @@ MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
 NEAR = 0.6  # twice the letters that two words share over all of theirs: from here on one is a slip for the other
 ALIKE = 0.5  # the same of two words that begin alike
 PART = 3  # letters from which on a word that stands in another says that it is meant, and two words begin alike
-CONTROLS = (
-    "Cc",
-    "Zl",
-    "Zp",
-    "Cs",
-)  # Unicode's controls, ends of lines and half letters: no line holds them
+CONTROLS = ("Cc", "Zl", "Zp", "Cs")  # Unicode's controls, ends of lines and half letters: no line holds them
 LONGEST_NAME = 60  # letters of a name that a sentence repeats
 MOST_LISTED = 12  # names that a sentence lists
 ELSEWHERE: dict[str, list[str]] = {}

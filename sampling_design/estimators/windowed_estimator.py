@@ -339,7 +339,7 @@ class WindowedEstimator(OnlineEstimator):
         """Return what a solve is worth; bounds are disproved only by more than the prediction's rounding may cost."""
         last, flow, drift = state.last, new.flow, new.drift
         verdict = judged(self.weights, terms, dual, last, held)
-        if "bounds disproved" in verdict:
+        if verdict[1] == "bounds disproved":
             with np.errstate(over="ignore", invalid="ignore"):
                 x, Y, _ = self.loop.propagated(last, flow, drift)
             verdict = judged(self.weights, terms, dual, last, held + in_units_of(Y, passed(last, flow, drift, x))[0])

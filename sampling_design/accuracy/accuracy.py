@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket, AccuracyProfile, panel_edges, proven_row
+from sampling_design.accuracy.accuracy_record import (
+    Accuracy,
+    AccuracyBracket,
+    AccuracyProfile,
+    panel_edges,
+    proven_row,
+    reopen,
+)
 from sampling_design.accuracy.between_samples import RowSearch, speed_of
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.bounds import Bound, NoiseBound
@@ -295,13 +302,18 @@ def _record(
     below, above = np.tile(unknown[:, None], (2, 1, edges.size - 1))
     witnesses: list[AccuracyWitness | None] = [None] * count
     proof: tuple[GapProof, ...] = ()
+    if finder is not None:
+        kept = enumerate(finder.directions)
+        proof = tuple(GapProof(j, freeze(a.mu), tuple(g.gains for g in a.gains)) for j, a in kept)
+        reopen(finder, proof)
     for done, (k, search) in enumerate(found.items()):
         assert finder is not None
         limit = finder.budget.share(1 / (len(found) - done))
         again = finder.opened(search.row, search.opened)  # with what was found for the rows after it
         at_samples[k], above[k], known_from[k] = proven_row(question, finder.system, again)
         side, searched = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
-        below[k] = np.concatenate([side.below(searched, j)[:-1] for j in searched.opened])
+        attained = np.concatenate([side.below(searched, j)[:-1] for j in searched.opened])
+        below[k] = np.minimum(attained, above[k])  # where both meet, by rounding
         if np.isinf(at_samples[k]).all() and np.isinf(above[k]).all():
             continue
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
@@ -313,10 +325,6 @@ def _record(
             worst[k] -= max(0.0, np.ceil(worst[k] / (question.end - times[0]) - 1)) * (question.end - times[0])
         offsets[k] = finder.offset(again, j, offset)
         closed[k] = (search.closed and search.idle) or upper[k] <= (1 + rtol) * witness.value
-    if finder is not None:
-        proof = tuple(
-            GapProof(j, freeze(a.mu), tuple(g.gains for g in a.gains)) for j, a in enumerate(finder.directions)
-        )
     return Accuracy(
         question=question,
         rows=rows,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -66,6 +67,17 @@ class AccuracyProfile:
         return AccuracyProfile(
             freeze(edges), freeze(np.tile(self.lower, count)), freeze(np.tile(self.upper, count)), times
         )
+
+
+def reopen(search: GainSearch, proof: Sequence[GapProof]) -> None:
+    """Bound the directions of a search by what gains prove, each evaluated beside the same others whenever it is.
+
+    Alone they are summed with other roundings, which grow as the plant does over their samples, and bounds of others
+    that a fit takes from them do not rise and fall with theirs alone: what is proven is what this proves.
+    """
+    for part in proof:
+        found = search.evaluate(part.sample, part.directions, part.gains)
+        search.directions[part.sample].hold(part.directions, found)  # all: one that adds nothing here may serve others
 
 
 class ProvenRow(NamedTuple):
@@ -221,7 +233,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return project_rows(question, first, second, t, directions, back, deep)
 
     def verify(self, rigorous: bool = False) -> bool:
-        """Whether both sides hold, recomputed from gains and witnesses without a solver.
+        """Whether both sides hold, at samples and over time too, recomputed from gains and witnesses without a solver.
 
         rigorous : bool
             In ball arithmetic (extra `rigorous`): True is then a theorem about the doubles of this record; False
@@ -248,7 +260,9 @@ class Accuracy(AccuracyBracket, CurveRecord):
         search = self._reopened(asked, known) if bounded else None
         if not self.question.fits_schedule() or (bounded and search is None):
             return False
-        return all(self._holds(k, known, search if k in bounded else None) for k in range(len(self.rows)))
+        opened = {k: search.opened(self.rows.matrix[k] @ known.lift) for k in bounded if search is not None}
+        mine = self._keeps_edges(asked, search, next(iter(opened.values()), None))
+        return mine and all(self._holds(k, known, search, opened.get(k)) for k in range(len(self.rows)))
 
     def _proven(self, asked: AccuracyQuestion) -> bool:
         """Both sides in ball arithmetic."""
@@ -265,27 +279,55 @@ class Accuracy(AccuracyBracket, CurveRecord):
         """The gains of the proof evaluated anew; None where they do not stand for all times that samples may have."""
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
         search = GainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
-        for part in self.proof:
-            found = search.evaluate(part.sample, part.directions, part.gains)
-            search.directions[part.sample].hold(part.directions, found)  # all, as when they bounded the rows
+        reopen(search, self.proof)
         enough = noise is not None and is_enough(noise, added(search, asked, known), KEPT_ROOM)
         return search if enough or not asked.timing_tolerance else None
 
-    def _holds(self, k: int, known: DetectablePart, search: GainSearch | None) -> bool:
-        """Whether both sides of a row hold; without a search only what is known at rest is."""
-        row, asked = self.rows.matrix[k], self.question.primitive()
-        rest = top = least = known.at_rest(row)
-        known_from = np.inf if rest else -np.inf
-        if search is not None:
-            opened = search.opened(row @ known.lift)
+    def _keeps_edges(self, asked: AccuracyQuestion, search: GainSearch | None, opened: RowSearch | None) -> bool:
+        """Whether the profile, and what repeats itself beside it, stands where gains prove it."""
+        edges = panel_edges(asked, None if search is None else search.system, opened)
+        profile = AccuracyProfile(edges, self.lower, self.upper, asked.nodes[asked.samples])
+        if asked is not self.question:
+            profile = profile.repeated(self.question.nodes)
+        pairs = ((profile.edges, self.profile.edges), (profile.samples, self.profile.samples))
+        tiny = 4 * np.spacing(np.abs(edges).max())
+        return all(a.shape == b.shape and bool(np.all(np.abs(a - b) <= tiny)) for a, b in pairs)
+
+    def _worst_holds(self, k: int) -> bool:
+        """Whether the worst time of a row is when its witness ends, which begins as its last sample may come."""
+        asked, witness = self.question.primitive(), self.witnesses[k]
+        if witness is None:
+            return bool(self.worst[k] == asked.nodes[0])
+        ends = asked.nodes[witness.last] + float(witness.edges[-1] - witness.samples[-1])
+        late, length = asked.timing_tolerance, float(asked.end - asked.nodes[0])
+        tiny = KEPT * length + 4 * np.spacing(np.abs(asked.nodes).max())
+        after = float(self.worst[k]) - ends + float(late.back.min()) + tiny
+        if asked.initial is None:
+            after = np.mod(after, length)
+        return bool(0 <= after <= late.back.min() + late.forward.min() + 2 * tiny)
+
+    def _holds(self, k: int, known: DetectablePart, search: GainSearch | None, opened: RowSearch | None) -> bool:
+        """Whether both sides of a row hold, over time too; of one that is not opened only what is known at rest is."""
+        asked, profile = self.question.primitive(), self.profile
+        rest = top = least = known.at_rest(self.rows.matrix[k])
+        proven = ProvenRow(np.full(asked.nodes.size, rest), np.array([rest]), np.inf if rest else -np.inf)
+        if search is not None and opened is not None:
             proven = proven_row(asked, search.system, opened)
-            known_from = proven.known_from
             if any(np.isfinite(nodes).any() for nodes in opened.nodes.values()):
                 top = search.top(opened)[0]
             if np.isfinite(proven.at_samples).any() or np.isfinite(proven.panels).any():
                 least = 0.0
-        upper = top <= self.upper[k] * (1 + KEPT) and known_from <= self.known_from[k]
-        return bool(upper) and self._attained(k, known, least)
+        count = len(self.schedule) // len(asked.schedule)
+        panels = np.tile(proven.panels, count) if opened is not None else np.full(profile.edges.size - 1, rest)
+        sides = (
+            (np.array(top), self.upper[k]),
+            (np.tile(proven.at_samples[asked.samples], count), self.at_samples[k]),
+            (panels, profile.upper[k]),
+            (profile.lower[k], profile.upper[k]),
+        )
+        upper = all(low.shape == high.shape and bool(np.all(low <= high * (1 + KEPT))) for low, high in sides)
+        upper = upper and bool(proven.known_from <= self.known_from[k])
+        return upper and self._worst_holds(k) and self._attained(k, known, least)
 
     def _attained(self, k: int, known: DetectablePart, rest: float) -> bool:
         """Whether the lower side of a row is what its witness, of this question, attains, or at rest."""

@@ -35,6 +35,28 @@ def finite():
 
 
 @cache
+def repeated():
+    schedule = PeriodicSchedule([1.0, 0.6, 1.0, 0.6])
+    return guaranteed_accuracy(PLANT, schedule, rtol=0.1, **BOUNDS)
+
+
+def later(upper):
+    first, second = np.split(upper, 2, axis=1)
+    return np.hstack([first, second * 0.99])
+
+
+@cache
+def late():
+    schedule = PeriodicSchedule([1.0, 0.6, 1.4], outputs=READ)
+    return guaranteed_accuracy(PLANT, schedule, timing_tolerance=0.05, budget=1e-6, **BOUNDS)
+
+
+@cache
+def started():
+    return guaranteed_accuracy(PLANT, Schedule([0.5, 1.5, 2.5]), start=0.0, end=3.0, rtol=0.1, **BOUNDS)
+
+
+@cache
 def by_count():
     return accuracy_by_count(Plant([[-0.1]], [[1.0]]), (0, 1, 4), period=8.0, **BOUNDS)
 
@@ -88,6 +110,10 @@ def witness(found, **changes):
     return {"witnesses": (replace(first, **changes), *rest)}
 
 
+def over_time(found, **changes):
+    return {"profile": replace(found.profile, **changes)}
+
+
 def question(found, **changes):
     return {"question": replace(found.question, **changes)}
 
@@ -101,6 +127,18 @@ EDITS = {
     "a row that is larger": (endless, lambda a: witness(a, row=a.witnesses[0].row * 1.1) | {"lower": a.lower * 1.05}),
     "outputs that show less": (endless, lambda a: witness(a, plant=replace(PLANT, C=PLANT.C / 2))),
     "a value that is not attained": (endless, lambda a: witness(a, value=a.witnesses[0].value * 1.01)),
+    "less at the samples": (endless, lambda a: {"at_samples": a.at_samples * 0.99}),
+    "less at one sample": (finite, lambda a: {"at_samples": a.at_samples * [1.0, 1.0, 0.99]}),
+    "fewer samples": (endless, lambda a: {"at_samples": a.at_samples[:, 1:]}),
+    "less over time": (endless, lambda a: over_time(a, upper=a.profile.upper * 0.99)),
+    "less in a later period": (repeated, lambda a: over_time(a, upper=later(a.profile.upper))),
+    "less while samples may be late": (late, lambda a: over_time(a, upper=a.profile.upper * 0.99)),
+    "known before it is": (started, lambda a: over_time(a, upper=np.minimum(a.profile.upper, a.upper[:, None]))),
+    "more attained over time than proven": (endless, lambda a: over_time(a, lower=a.profile.upper * 1.01)),
+    "at other times": (endless, lambda a: over_time(a, edges=a.profile.edges + 0.1)),
+    "about other samples": (endless, lambda a: over_time(a, samples=a.profile.samples + 0.1)),
+    "worst at another time": (endless, lambda a: {"worst": a.worst + 0.1}),
+    "worst while samples may be late": (late, lambda a: {"worst": a.worst + 0.3}),
     "another schedule": (endless, lambda a: question(a, schedule=PeriodicSchedule([1.0, 0.5, 1.5], outputs=READ))),
     "another reading": (endless, lambda a: question(a, schedule=replace(a.schedule, outputs=np.roll(READ, 1, axis=0)))),
     "no witness": (finite, lambda a: {"witnesses": (None, None), "lower": a.upper * 2}),

@@ -70,10 +70,10 @@ class AccuracyProfile:
 
 
 def reopen(search: GainSearch, proof: Sequence[GapProof]) -> None:
-    """Bound the directions of a search by what gains prove, each evaluated beside the same others whenever it is.
+    """Bound the directions of a search by what gains prove, as whoever verifies a record does: all evaluated at once.
 
-    Alone they are summed with other roundings, which grow as the plant does over their samples, and bounds of others
-    that a fit takes from them do not rise and fall with theirs alone: what is proven is what this proves.
+    What a fit takes from directions for others may jump with the last digit of theirs, which hangs on what stands
+    beside them: a record says what this evaluation proves, so that the next one proves the same.
     """
     for part in proof:
         found = search.evaluate(part.sample, part.directions, part.gains)

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet
-from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
+from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, whole_gains
 from sampling_design.accuracy.lasting import LastingResponses, LastingTrajectory
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.numerics.cone_table import ConeTable
@@ -137,7 +137,7 @@ class ConeWindow:
         if size == 0:
             return self._nowhere()
         if self._stages is not None:
-            found = self._stages.solve(mu, filter_gains(self.system, self.nodes, mu), STAGED, enough, NEAR)
+            found = self._stages.solve(mu, whole_gains(self.system, self.nodes, mu)[0], STAGED, enough, NEAR)
             if found.gap <= (NEAR if enough > 0 else STALLED):
                 return found
         if not self._built:
@@ -189,19 +189,12 @@ class ConeWindow:
         return found
 
     def _steadied(self, mu: Array, point: StageSolution) -> list[Array]:
-        """The solver's gains, corrected by the filter's wherever its costate and the true one part.
-
-        The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
-        """
-        system, raw, ahead = self.system, point.gains, point.costates
-        gains: list[Array] = [np.zeros(0)] * len(raw)
-        true, meant = mu, mu
-        for k in range(len(raw) - 1, -1, -1):
-            sample = system.samples[self.nodes[k]]
-            gains[k] = raw[k] + sample.K.T @ (true - meant)
-            if k:
-                F = system.gap(self.nodes[k - 1]).F
-                true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
+        """The solver's gains beside the filter's, which see the costate as it is, not as the solver's last digits."""
+        system, costates = self.system, [*point.costates, mu]
+        for k in range(len(costates) - 1):
+            costates[k] = system.gap(self.nodes[k]).F.T @ costates[k]
+        samples = (system.samples[node] for node in self.nodes)
+        gains = [raw - each.K.T @ g for raw, each, g in zip(point.gains, samples, costates, strict=True)]
         return gains if self.start.whole else cleared(self.system, self.nodes, self.start, mu, gains)
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:

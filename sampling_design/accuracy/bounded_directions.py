@@ -30,7 +30,7 @@ class GapProof:
 
     sample: int  # its place in the schedule's period
     directions: Array  # (m, n): in the coordinates of the system
-    # for each direction, the gains of the samples back in time, the latest last, in units of v_bound
+    # for each direction, gains beside the filter's of the samples back in time, the latest last, in units of v_bound
     gains: tuple[tuple[Array, ...], ...]
 
 
@@ -228,13 +228,8 @@ class BoundedDirections:
         return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))
 
 
-def combined(
-    system: SampledSystem, j: int, mu: Array, directions: BoundedDirections
-) -> list[tuple[tuple[Array, ...], Array]]:
-    """Gains for rows of mu'z_j, mu (m, n), put together from those of the nearest directions, the latest last.
-
-    Each with what it is put together for: nearly its row.
-    """
+def combined(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> list[tuple[Array, ...]]:
+    """Gains for rows of mu'z_j, mu (m, n), put together from those of the nearest directions, the latest last."""
     found = []
     for places, shares in zip(*directions.fit(mu), strict=True):
         parts = [directions.gains[k].gains for k in places]
@@ -243,5 +238,5 @@ def combined(
         total = np.zeros(ends[-1])
         for part, share in zip(parts, shares, strict=True):
             total[ends[count - len(part)] :] += share * np.concatenate([[], *part])
-        found.append((tuple(np.split(total, ends[1:-1])), shares @ directions.mu[places]))
+        found.append(tuple(np.split(total, ends[1:-1])))
     return found

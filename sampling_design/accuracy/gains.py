@@ -1,4 +1,8 @@
-"""What any gains of the samples of a window prove, without a solver: the guarantee, for all real times."""
+"""What any gains of the samples of a window prove, without a solver: the guarantee, for all real times.
+
+Gains are those that stand beside the filter's, which act on the costate as it comes: what rounding changes of it decays
+on its way back. Gains as numbers would let it grow as the plant does over their samples.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ class Gains:
     """Gains of the samples of a window and what they prove."""
 
     value: float
-    gains: tuple[Array, ...]  # (p_k,) in units of the noise
+    gains: tuple[Array, ...]  # (p_k,) in units of the noise, beside the filter's
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ def _evaluated(
 ) -> list[Gains]:
     """The same of all at once."""
     at = [np.column_stack(lam) for lam in zip(*gains, strict=True)]
-    cost, g, scale, _ = followed_back(system, nodes, mu.T, lambda k, _: at[k])
+    cost, g, scale, _ = followed_back(system, nodes, mu.T, lambda k, g: system.samples[nodes[k]].K.T @ g + at[k])
     totals = [c + start.support(rest, s) for c, rest, s in zip(cost.tolist(), g.T, scale.tolist(), strict=True)]
     return [Gains(total * (1 + ROUNDING), tuple(each)) for total, each in zip(totals, gains, strict=True)]
 
@@ -109,15 +113,17 @@ def followed_back(
     return total, g, scale, reach
 
 
-def filter_gains(system: SampledSystem, nodes: list[int], mu: Array) -> list[Array]:
-    """Return the filter's gains for mu'z_K, as they are."""
-    gains, g = [np.zeros(0)] * len(nodes), mu
+def whole_gains(
+    system: SampledSystem, nodes: list[int], mu: Array, gains: Sequence[Array] | None = None
+) -> tuple[list[Array], Array]:
+    """Return the filter's gains for mu'z_K, with those beside them if any, as they are; and what is left of mu."""
+    found, g = [np.zeros(0)] * len(nodes), mu
     for k in range(len(nodes) - 1, -1, -1):
         sample = system.samples[nodes[k]]
-        gains[k] = sample.K.T @ g
-        if k:
-            g = system.gap(nodes[k - 1]).F.T @ (g - sample.H.T @ gains[k])
-    return gains
+        found[k] = sample.K.T @ g + (0.0 if gains is None else gains[k])
+        g = g - sample.H.T @ found[k]
+        g = system.gap(nodes[k - 1]).F.T @ g if k else g
+    return found, g
 
 
 def filtered(system: SampledSystem, nodes: list[int], known: Callable[[int], Array | None], mu: Array) -> list[Gains]:
@@ -125,42 +131,34 @@ def filtered(system: SampledSystem, nodes: list[int], known: Callable[[int], Arr
 
     `known` as for `followed_back`; nothing, where the first of the nodes bounds nothing.
     """
-    gains = list[Array]()
+    first = len(nodes)
 
     def gains_at(k: int, g: Array) -> Array:
-        gains.append(system.samples[nodes[k]].K.T @ g)
-        return gains[-1]
+        nonlocal first
+        first = k
+        return system.samples[nodes[k]].K.T @ g
 
     total, g, _, reach = followed_back(system, nodes, mu, gains_at, known, GapDynamics.size)
-    if reach is not None:
-        gains.append(np.zeros((len(system.samples[nodes[-len(gains) - 1]].H), mu.shape[1])))
-    else:
-        reach = known(0)
+    reach = known(0) if reach is None else reach
     if reach is None:
         return []
-    values = (total + reach @ np.abs(g)) * (1 + ROUNDING)
-    return [Gains(float(value), tuple(lam[:, k] for lam in gains[::-1])) for k, value in enumerate(values)]
+    nothing = tuple(np.zeros(len(system.samples[node].H)) for node in nodes[max(first - 1, 0) :])
+    return [Gains(float(value), nothing) for value in (total + reach @ np.abs(g)) * (1 + ROUNDING)]
 
 
 def transferred_gains(
-    system: SampledSystem, nodes: list[int], mu: Array, others: list[int], meant: Array, gains: tuple[Array, ...]
+    system: SampledSystem, nodes: list[int], mu: Array, others: list[int], gains: tuple[Array, ...]
 ) -> tuple[Array, ...]:
-    """Return gains for mu'z_K from those for meant'z at the last of other nodes: where costates part, the filter's."""
-    found = [np.zeros(0)] * len(nodes)
-    for k in range(1, len(nodes) + 1):
-        sample, apart = system.samples[nodes[-k]], mu
-        if k <= len(gains):
-            other, same = system.samples[others[-k]], nodes[-k] == others[-k]
-            if same or np.array_equal(sample.outputs, other.outputs):
-                found[-k] = gains[-k] if same else gains[-k] * sample.size / other.size
-                here = meant if same else system.L[nodes[-k]].T @ np.linalg.solve(system.L[others[-k]].T, meant)
-                last = k == len(gains) < len(nodes)  # what is known before it counts this sample once more
-                apart = mu - (sample.H.T @ found[-k] if last else here)
-        found[-k] = (found[-k] if found[-k].size else 0.0) + sample.K.T @ apart
-        if k < len(nodes):
-            mu = system.gap(nodes[-k - 1]).F.T @ (mu - sample.H.T @ found[-k])
-            if k < len(gains):
-                meant = system.gap(others[-k - 1]).F.T @ (meant - other.H.T @ gains[-k])
+    """Return gains for mu'z_K from those for a direction near it at the last of other nodes."""
+    found = [np.zeros(len(system.samples[node].H)) for node in nodes]
+    for k in range(1, min(len(gains), len(nodes)) + 1):
+        sample, other = system.samples[nodes[-k]], system.samples[others[-k]]
+        if np.array_equal(sample.outputs, other.outputs):
+            found[-k] = gains[-k] * (sample.size / other.size)
+    if len(gains) < len(nodes):  # what is known before them counts their first sample once more
+        k = len(nodes) - len(gains)
+        sample, (_, rest) = system.samples[nodes[k]], whole_gains(system, nodes[k:], mu, found[k:])
+        found[k] = found[k] + sample.K.T @ rest
     return tuple(found)
 
 
@@ -175,7 +173,8 @@ def path_bounds(
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
     if not start.whole:  # what is free at the start must not be touched
-        corrected = [cleared(system, nodes, start, column, filter_gains(system, nodes, column)) for column in mu.T]
+        plain = [np.zeros(len(system.samples[node].H)) for node in nodes]
+        corrected = [cleared(system, nodes, start, column, plain) for column in mu.T]
         return np.array([each.value for each in evaluated(system, nodes, start, mu.T, corrected)])
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
@@ -187,12 +186,13 @@ def cleared(system: SampledSystem, nodes: list[int], start: InitialSet, mu: Arra
     outputs, _ = system.outputs_of(nodes, free)
     rows, ends = np.vstack(outputs), np.cumsum([len(H) for H in outputs])[:-1]
     for _ in range(2):
-        rest = mu
-        for k in range(len(gains) - 1, -1, -1):
-            rest = rest - system.samples[nodes[k]].H.T @ gains[k]
-            rest = system.gap(nodes[k - 1]).F.T @ rest if k else rest
-        change = np.linalg.lstsq(rows.T, free.T @ rest)[0]
-        gains = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
+        _, rest = whole_gains(system, nodes, mu, gains)
+        change = np.split(np.linalg.lstsq(rows.T, free.T @ rest)[0], ends)
+        gains, moved = gains.copy(), np.zeros_like(mu)
+        for k in range(len(gains) - 1, -1, -1):  # the filter's gains follow what later ones change
+            sample = system.samples[nodes[k]]
+            gains[k] = gains[k] + change[k] - sample.K.T @ moved
+            moved = system.gap(nodes[k - 1]).F.T @ (moved - sample.H.T @ change[k]) if k else moved
     return gains
 
 
@@ -211,10 +211,11 @@ def centre_offset(system: SampledSystem, row: Array, j: int, d: float, gains: tu
     g = row * system.D @ flows[0, :, :n]
     nodes = system.latest(j, len(gains))
     for k in range(len(nodes) - 1, -1, -1):
-        sample, lam = system.samples[nodes[k]], gains[k - len(nodes)]
+        sample, L = system.samples[nodes[k]], system.L[nodes[k]]
+        lam = sample.K.T @ (L.T @ g) + gains[k - len(nodes)]
         if bounds.v_centre is not None:
             total -= float(lam @ (bounds.v_centre[system.sample_of(nodes[k]), sample.outputs] / sample.size))
-        g = g - np.linalg.solve(system.L[nodes[k]].T, sample.H.T @ lam)
+        g = g - np.linalg.solve(L.T, sample.H.T @ lam)
         if k:
             flow = flows[1 + system.sample_of(nodes[k - 1])]
             total += float(g @ flow[:, n])

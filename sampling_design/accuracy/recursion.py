@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.bounds import InitialSet
-from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.gains import Gains, whole_gains
 from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import ArgumentError
@@ -248,17 +248,14 @@ def _phase(search: GainSearch, plant: Plant, found: Accuracy, j: int) -> _Update
 def _on_innovations(search: GainSearch, j: int, mu: Array, gains: Gains) -> tuple[Array, Array]:
     """Weights on the filter's innovations in place of gains on the data, and the rest at the window's start.
 
-    With g_k the costate after sample k is taken out, weights are (I - H K)'lambda_k - K'g_k, and (I - H K)'lambda_0 at
-    the first sample, whose estimate the window starts from.
+    These are gains beside the filter's, and (I - H K)'lambda_0 at the first sample, whose estimate the window starts
+    from.
     """
     system: SampledSystem = search.system
     p = system.plant.n_outputs
     nodes = system.nodes(j, len(gains.gains))
-    weights, g = np.zeros((len(nodes), p)), mu
-    for k in range(len(nodes) - 1, -1, -1):
-        sample, lam = system.samples[nodes[k]], gains.gains[k]
-        g = g - sample.H.T @ lam
-        left = lam - sample.K.T @ (sample.H.T @ lam)
-        weights[k, sample.outputs] = left - sample.K.T @ g if k else left
-        g = system.gaps[nodes[k - 1]].F.T @ g if k else g
-    return weights.ravel(), g
+    weights, (whole, rest) = np.zeros((len(nodes), p)), whole_gains(system, nodes, mu, gains.gains)
+    for k, node in enumerate(nodes):
+        sample, lam = system.samples[node], whole[k]
+        weights[k, sample.outputs] = gains.gains[k] if k else lam - sample.K.T @ (sample.H.T @ lam)
+    return weights.ravel(), rest

@@ -153,10 +153,8 @@ class BallSystem:
         system, at = self.system, j
         costs, columns = [ball(0.0)] * self.n, [self.Lt[j].solve(_column(unit)) for unit in np.eye(self.n)]
         for step in range(back + 1):
-            K = system.samples[at].K
             for k, g in enumerate(columns):
-                gains = _entries(matrix(K.T) * (self.Lt[at] * g)) if K.shape[1] else []
-                columns[k], paid = self.passed(at, g, gains)
+                columns[k], paid = self.passed(at, g, self._filter_gains(at, g))
                 costs[k] = (costs[k] + paid).upper()
             if step == back:
                 break
@@ -167,12 +165,18 @@ class BallSystem:
                 columns[k] = flow * g
         return costs, [[abs(x).upper() for x in _entries(self.Lt[at] * g)] for g in columns]
 
+    def _filter_gains(self, j: int, g: Matrix) -> list[Ball]:
+        """The filter's gains at sample j for a costate before it is taken out."""
+        K = self.system.samples[j].K
+        return _entries(matrix(K.T) * (self.Lt[j] * g)) if K.shape[1] else []
+
     def evaluated(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Ball:
         """What gains prove of mu'z_j."""
         nodes = self.system.nodes(j, len(gains))
         total, g = ball(0.0), self.Lt[j].solve(_column(mu))
         for k in range(len(nodes) - 1, -1, -1):
-            g, paid = self.passed(nodes[k], g, [ball(x) for x in gains[k]])
+            own = self._filter_gains(nodes[k], g)
+            g, paid = self.passed(nodes[k], g, [x + ball(y) for x, y in zip(own, gains[k], strict=True)])
             total = (total + paid).upper()
             if k:
                 flow, panels = self.gap(nodes[k - 1])

@@ -205,16 +205,13 @@ class GainSearch:
             found |= zip(own, evaluated(self.system, nodes, start, mu[own], filled), strict=True)
         return [found[k] for k in range(len(gains))]
 
-    def followed(self, j: int, mu: Array, gains: tuple[Array, ...], meant: tuple[int, Array] | None = None) -> Gains:
-        """The same, with the filter's gains for the past beyond theirs.
-
-        Of those for another direction, `meant` after a node: with the filter's for what parts the two.
-        """
-        system, (k, direction) = self.system, (j, mu) if meant is None else meant
+    def followed(self, j: int, mu: Array, gains: tuple[Array, ...], after: int | None = None) -> Gains:
+        """The same, with the filter's gains for the past beyond theirs; of those of another direction after a node."""
+        system, k = self.system, j if after is None else after
         nodes, start = self.past(j, max(len(gains) - len(system.nodes(j, 0)), self._tail), False)
-        if (meant is None and len(nodes) <= len(gains)) or not start.whole:
+        if (k == j and len(nodes) <= len(gains)) or not start.whole:
             return self.evaluate(j, mu[None], [gains])[0]
-        gains = transferred_gains(system, nodes, mu, system.latest(k, len(gains)), direction, gains)
+        gains = transferred_gains(system, nodes, mu, system.latest(k, len(gains)), gains)
         return evaluated(system, nodes, start, mu[None], [gains])[0]
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
@@ -395,16 +392,16 @@ class GainSearch:
         mu = own.mu[offsets]
         made = combined(self.system, j, mu, directions) if directions.gains else []
         if not self.follows:
-            return mu[: len(made)], self.evaluate(j, mu[: len(made)], [gains for gains, _ in made])
-        guessed = [(row, self.followed(j, row, gains, (j, of))) for row, (gains, of) in zip(mu, made, strict=False)]
+            return mu[: len(made)], self.evaluate(j, mu[: len(made)], made)
+        guessed = [(row, self.followed(j, row, gains)) for row, gains in zip(mu, made, strict=False)]
         others = {k: solved for k, solved in found.solved.items() if solved and k != j and self.directions[k].gains}
         for row, d in zip(mu, own.d[offsets], strict=True):
             apart = {k: min(abs(found.opened[k].d[o] - d) for o in solved) for k, solved in others.items()}
             for k in sorted(apart, key=apart.__getitem__)[:1]:
                 opened = found.opened[k]
                 target = opened.mu[[int(np.argmin(np.abs(opened.d - d)))]]
-                gains, of = combined(self.system, k, target, self.directions[k])[0]
-                guessed.append((row, self.followed(j, row, gains, (k, of))))
+                gains = combined(self.system, k, target, self.directions[k])[0]
+                guessed.append((row, self.followed(j, row, gains, k)))
         return np.array([row for row, _ in guessed]).reshape(-1, mu.shape[1]), [gains for _, gains in guessed]
 
     def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, RowSearch, open_row
 from sampling_design.accuracy.bounds import InitialSet
-from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.gains import whole_gains
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, make_gap
@@ -199,20 +199,23 @@ def moved_witness(
     taken, with w in between what it is before and after that sample.
     """
     count = len(search.system.nodes(j, search.deep))
-    gains, adversary = search.both_sides(j, found.opened[j].mu[offset])
+    mu = found.opened[j].mu[offset]
+    gains, adversary = search.both_sides(j, mu)
     system, at, shift, until = search.system, j, np.zeros(1), float(found.opened[j].d[offset])
     system_of = moved_systems(system, search.cell_loss)
     best: AccuracyWitness | None = None
     for _ in range(MOVED):
         ahead = open_row(system, at, found.row, until).mu[-1] @ np.linalg.solve(system.L[at], system.G)
-        shift = _worst_times(system, at, gains, adversary, ahead, question.timing_tolerance, shift)
+        whole, _ = whole_gains(system, system.latest(at, len(gains.gains)), mu, gains.gains)
+        shift = _worst_times(system, at, whole, adversary, ahead, question.timing_tolerance, shift)
         moved, at = _moved_question(question, j, count, shift)
         system = system_of(moved)
         until = float(found.opened[j].d[offset]) - shift[-1]
         opened = open_row(system, at, found.row, until)
         nodes = system.nodes(at, count)
         start = InitialSet.box(np.zeros(system.D.size)) if system.start is None or nodes[0] else system.start
-        gains, adversary = ConeWindow(system, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
+        mu = opened.mu[-1]
+        gains, adversary = ConeWindow(system, nodes, start, tolerance=TOLERANCE).both(mu)
         witness = physical(found.row, opened, adversary, opened.d.size - 1)
         witness = admissible(witness, moved)
         if best is not None and witness.value <= best.value * (1 + KEPT):
@@ -253,7 +256,7 @@ def moved_systems(planned: SampledSystem, loss: float) -> Callable[[AccuracyQues
 def _worst_times(
     system: SampledSystem,
     at: int,
-    gains: Gains,
+    gains: list[Array],
     adversary: Adversary,
     ahead: Array,
     late: TimingTolerance,
@@ -268,7 +271,7 @@ def _worst_times(
     last = (ahead / size if size else ahead) if system.bounds.w_ball else np.sign(ahead)
     cells = [last[None], *adversary.w[::-1], np.zeros((1, last.size))][::-1]
     tilt = np.zeros(len(nodes))
-    for k, (node, lam, z) in enumerate(zip(nodes, gains.gains[-len(nodes) :], adversary.z, strict=True)):
+    for k, (node, lam, z) in enumerate(zip(nodes, gains[-len(nodes) :], adversary.z, strict=True)):
         L, w = system.L[node], (cells[k][0] + cells[k + 1][-1]) / 2
         tilt[k] = lam @ system.samples[node].H @ np.linalg.solve(L, system.A @ (L @ z) + system.G @ w)
     return np.where(tilt == 0, before, np.where(tilt > 0, -late.back.min(), late.forward.min()))

@@ -291,7 +291,7 @@ def timing_gains(plan: PlanFigures, node: int, i: int, back: bool) -> tuple[Arra
     reach = own.reach[own.sample_of(node)]
     directions = BoundedDirections.of(reach, part.directions, part.gains, [0.0] * len(part.gains))
     mu = moved_row(own, node, plan.plant.C[i], side, back, {}).mu[-1]
-    return combined(own, node, mu[None], directions)[0][0]
+    return combined(own, node, mu[None], directions)[0]
 
 
 def _noisier_system(

@@ -481,7 +481,7 @@ def test_of_many_states_gains_of_one_sample_serve_at_another_one():
     mu = [seek.system.mu(j, row)[:, 0] for j in range(3)]
     solved = [seek.gains(j, mu[j]) for j in range(3)]
     for j, k in ((0, 1), (1, 2), (2, 0)):
-        found = seek.followed(j, mu[j], solved[k].gains, (k, mu[k]))
+        found = seek.followed(j, mu[j], solved[k].gains, k)
         assert seek.evaluate(j, mu[j][None], [found.gains])[0].value == pytest.approx(found.value, rel=1e-12)
         assert solved[j].value * (1 - 1e-4) <= found.value <= solved[j].value * 1.05
 
@@ -500,6 +500,11 @@ def test_what_a_filter_proves_of_a_plant_that_grows_in_mixed_coordinates_is_not_
     plant = sd.Plant(A, C, G=np.eye(4)[:, :1])
     spent = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.01, v_bound=1.0, budget=1e-9)
     assert spent.verify()
+    seek = search.GainSearch(*spent.question.filter_bounds(plant))
+    for part in spent.proof:
+        together = seek.evaluate(part.sample, part.directions, part.gains)
+        for mu, gains, found in zip(part.directions, part.gains, together, strict=True):
+            assert seek.evaluate(part.sample, mu[None], [gains])[0].value == pytest.approx(found.value, rel=1e-12)
 
 
 def test_rows_without_bound_verify_over_several_periods():

@@ -36,12 +36,19 @@ class NextAnswer:
 
 
 class NextChoices:
-    """The choices for the next sample of a plan, after a history; once the budget is over, what was found by then."""
+    """The choices for the next sample of a plan, after a history; once the budget is over, what was found by then.
 
-    def __init__(self, plan: Plan, history: SampleSequence, now: float, budget: Budget = ENDLESS):
+    Where answers are to be proven, what floats say of one is then left at that: the proof decides.
+    """
+
+    def __init__(
+        self, plan: Plan, history: SampleSequence, now: float, budget: Budget = ENDLESS, *, prove: bool = True
+    ):
         self.budget, self.plan, self.history, self.now, self.clock = budget, plan, history, now, plan.clock
+        self.prove = prove
         self.level = max(NEAR, plan.ratio)
         self._known: dict[tuple[float, bytes], float] = {}
+        self._ratios: dict[tuple[float, bytes, bytes], float] = {}
         self._chosen: dict[tuple[float, bytes], SampleSequence] = {}
         self._options: dict[int | None, list[Option]] = {}
         self._deadlines: dict[tuple[int | None, float], GoalDeadline | None] = {}
@@ -192,7 +199,8 @@ class NextChoices:
         if key not in self._known:
             self._known[key] = np.inf
             for sequence in self.sequences(choice):
-                found = worst_ratio(self.plan, sequence, above, self._until(sequence))
+                looks = self.budget if self.prove else ENDLESS
+                found = worst_ratio(self.plan, sequence, above, self._until(sequence), budget=looks)
                 if found < self._known[key]:
                     self._known[key], self._chosen[key] = found, sequence
                 if found <= self.level:
@@ -203,6 +211,10 @@ class NextChoices:
         """Whether every tolerance is kept from now on if this is the next sample, as floats say."""
         return self.ratio(choice, self.level) <= self.level
 
+    def _keeps_in_time(self, choice: Option) -> bool:
+        """The same, unless the budget was over before all of it was looked at."""
+        return self.keeps(choice) and not self.budget.over
+
     def latest(self, sensor: int | None) -> Option:
         """The latest option that keeps the tolerances: doubling, then halving; one by one where that finds none."""
         last, period = float(self.history.times[-1]), self.plan.schedule.period
@@ -212,17 +224,16 @@ class NextChoices:
             return self._nothing
         good = self._planned_option(options) if sensor is None else 0
         if not self.keeps(options[good]):
-            kept = (option for option in reversed(options) if not self.budget.over and self.keeps(option))
-            return next(kept, self._nothing)
+            return next((option for option in reversed(options) if self._keeps_in_time(option)), self._nothing)
         at, bad, width = good + 1, len(options), 1
         while at < len(options) and not self.budget.over:
-            if not self.keeps(options[at]):
+            if not self._keeps_in_time(options[at]):
                 bad = at
                 break
             good, at, width = at, at + width, 2 * width
         while bad - good > 1 and not self.budget.over:
             middle = (good + bad) // 2
-            good, bad = (middle, bad) if self.keeps(options[middle]) else (good, middle)
+            good, bad = (middle, bad) if self._keeps_in_time(options[middle]) else (good, middle)
         return options[good]
 
     @property
@@ -239,17 +250,17 @@ class NextChoices:
         )
         return int(same[0]) if same.size else 0
 
-    def answer(self, sensor: int | None, prove: bool) -> NextAnswer:
+    def answer(self, sensor: int | None) -> NextAnswer:
         """The latest option, proven if asked: earlier ones, at growing steps, until the proof holds, then between."""
         choice = self.latest(sensor)
         ratio, options = self.ratio(choice), self.options(sensor)
-        if np.isfinite(choice[0]) and not prove:
+        if np.isfinite(choice[0]) and not self.prove:
             return NextAnswer(*choice, self.now, ratio, False)
         place = next((k for k, option in enumerate(options) if option[0] == choice[0]), -1)
         kept, broken, step, found = -1, place + 1, 1, NextAnswer(*self._nothing, np.inf, ratio, False)
         while place > kept:
             self.ratio(options[place], self.level)
-            ratio = proven_ratio(self.plan, self.sequence(options[place]))
+            ratio = self._proven(self.sequence(options[place]))
             if ratio <= 1:
                 kept, found = place, NextAnswer(*options[place], self.now, ratio, True)
             else:
@@ -262,7 +273,14 @@ class NextChoices:
                 place = (max(kept, 0) + broken) // 2 if kept >= 0 else kept
         return found if found.proven else replace(found, ratio=ratio)
 
-    def soonest(self, prove: bool) -> NextAnswer:
+    def _proven(self, sequence: SampleSequence) -> float:
+        """Accuracy over tolerance that is proven of a sequence, once."""
+        key = sequence.since, sequence.times.tobytes(), sequence.measured.tobytes()
+        if key not in self._ratios:
+            self._ratios[key] = proven_ratio(self.plan, sequence, budget=self.budget)
+        return self._ratios[key]
+
+    def soonest(self) -> NextAnswer:
         """The choice after which every tolerance is kept again soonest; of those the plan's own, else the latest.
 
         With every sensor of the plan, unless those that it reads then do as well.
@@ -283,7 +301,7 @@ class NextChoices:
         lean = next(option for option in own if option[0] == best[0])
         if not np.array_equal(lean[1], best[1]) and self._kept(lean, kept + tiny) <= kept + tiny:
             best = lean
-        return self._again(best, kept, prove)
+        return self._again(best, kept)
 
     def _kept(self, choice: Option, latest: float) -> float:
         """From when on every tolerance is kept if this is the next sample, as floats say."""
@@ -294,17 +312,17 @@ class NextChoices:
                 found, self._chosen[key] = kept, sequence
         return found
 
-    def _again(self, choice: Option, kept: float, prove: bool) -> NextAnswer:
+    def _again(self, choice: Option, kept: float) -> NextAnswer:
         """The same, proven if asked from a sample to the next until the proof holds."""
         sequence = self.sequence(choice)
         if not np.isfinite(kept):
             return NextAnswer(*self._nothing, np.inf, np.inf, False)
         sequence = replace(sequence, since=kept)
-        if not prove:
+        if not self.prove:
             return NextAnswer(*choice, kept, worst_ratio(self.plan, sequence, until=self._until(sequence)), False)
         ratio = np.inf
         for since in [kept, *sequence.times[sequence.times > kept][: TRIES - 1].tolist()]:
-            ratio = proven_ratio(self.plan, replace(sequence, since=since))
+            ratio = self._proven(replace(sequence, since=since))
             if ratio <= 1:
                 return NextAnswer(*choice, since, ratio, True)
             if self.budget.over:

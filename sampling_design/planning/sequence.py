@@ -32,6 +32,7 @@ from sampling_design.planning.sequence_deviation import (
 from sampling_design.planning.sequence_system import plan_system, sequence_system
 from sampling_design.planning.transient_bound import cut_gains, nodes_out, out_at, settled_factors, wider_by
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.jitter import ON_TIME
 
 SHARPER = 40  # offsets of a gap that are solved, at most
@@ -85,27 +86,35 @@ def time_out(plan: PlanFigures) -> float:
 
 
 def worst_ratio(
-    plan: PlanFigures, sequence: SampleSequence, above: float = np.inf, until: float = np.inf, *, closely: bool = True
+    plan: PlanFigures,
+    sequence: SampleSequence,
+    above: float = np.inf,
+    until: float = np.inf,
+    *,
+    closely: bool = True,
+    budget: Budget = ENDLESS,
 ) -> float:
     """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the grid.
 
-    Stops once a gap is worse than `above`, or begins at or after `until`. Unless `closely`, a gap is looked at where it
-    ends, and only the worst of them elsewhere: attained all the same.
+    Stops once a gap is worse than `above`, begins at or after `until`, or the budget is over. Unless `closely`, a gap
+    is looked at where it ends, and only the worst of them elsewhere: attained all the same.
     """
     deviation = sequence_filter(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
     if deviation > above or plan.accuracy is None:
         return deviation
-    return max(deviation, _bounded_worst(plan, sequence, above, until, closely=closely))
+    return max(deviation, _bounded_worst(plan, sequence, above, until, budget, closely=closely))
 
 
-def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, until: float, *, closely: bool) -> float:
+def _bounded_worst(
+    plan: PlanFigures, sequence: SampleSequence, above: float, until: float, budget: Budget, *, closely: bool
+) -> float:
     """The same of the goals that are guaranteed; what a change does decays: so many gaps no worse end it."""
     worst = before = here = 0.0
     where: tuple[GridWindow, int, int, int, int] | None = None
     oracle, back = plan.oracle, departs_and_returns(plan, sequence)[1]
     goals, out, count = oracle.problem.guaranteed, longest_out(plan), judged_at_once(plan)
     for i, span in enumerate(spans_of(plan, sequence)):
-        if span_begin(plan, sequence, span) >= until + out:
+        if span_begin(plan, sequence, span) >= until + out or budget.over:
             break
         window, last = window_after(oracle, sequence, span)
         for g in goals:
@@ -236,8 +245,12 @@ def gaps_of(sequence: SampleSequence, k: int, begin: float, end: float) -> range
     return range(max(low, 0), max(int(np.searchsorted(sequence.times, end - tiny, side="left")), low + 1, 1))
 
 
-def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None = None) -> float:
+def proven_ratio(
+    plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None = None, budget: Budget = ENDLESS
+) -> float:
     """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1.
+
+    Once the budget is over, these are the filter's, which prove less.
 
     Of standard deviations, by the filter run through the sequence, by as much more as it ends with. `gaps` gets the
     ratio in each gap, and of all that follows the sequence as that of its last sample; then nothing stops it.
@@ -252,10 +265,10 @@ def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, fl
             gaps[len(sequence.times) - 1] = wider * sequence_filter(plan).usual
     if plan.accuracy is None or (deviation > 1 and gaps is None):
         return deviation
-    return max(deviation, _proven_bounds(plan, sequence, gaps))
+    return max(deviation, _proven_bounds(plan, sequence, gaps, budget))
 
 
-def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None) -> float:
+def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None, budget: Budget) -> float:
     """The same of the goals that are guaranteed; infinite where a sequence does not end with enough of the plan.
 
     Gaps are judged one by one until `settled + back`, but where those since a change are the plan's for long enough:
@@ -278,7 +291,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
         system = sequence_system(plan, sequence, len(times) - max(settled, 0))
     except UndecidedError:  # nothing bounds what early and late samples do
         system = None
-    search = None if system is None else GainSearch(*system, lambda: work.add(GAINS, back * n))
+    search = None if system is None else GainSearch(*system, lambda: work.add(GAINS, back * n), budget)
     if search is None or settled < sequence.first or not _is_the_plan(search, plan, settled):
         if gaps is not None:
             gaps.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
@@ -370,11 +383,11 @@ def _gap_bound(search: GainSearch, opened: RowBetweenSamples, k: int, goal: RowG
         if not fresh:
             break
         solved.add(fresh[0])
-        search.gains(k, opened.mu[fresh[0]])
+        _bounded_by_gains(search, k, opened.mu[fresh[0]])
     return top
 
 
-def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, float]:
+def known_at(plan: PlanFigures, history: SampleSequence, t: float, budget: Budget = ENDLESS) -> dict[str, float]:
     """How well each goal is known at a time at or after the last sample: bounds that are proven, or deviations.
 
     Infinite where an error of any size at the plan's start would not have shown.
@@ -384,19 +397,21 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
         exact = history if not history.begins else replace(history, late=ON_TIME, known_sides=np.zeros((0, 2, 1)))
         limited = history.begins and bool(history.late)  # samples that may be late do not show a start of any size
         try:
-            bounds = _bounds_at(plan, exact, t, limited=False)
+            bounds = _bounds_at(plan, exact, t, budget, limited=False)
         except UndecidedError:  # nor can doubles follow one beside which the rest fades
             bounds, limited = dict.fromkeys((goal.name for goal in plan.goals), 0.0), True
         if limited:
-            known = _bounds_at(plan, history, t, limited=True)
+            known = _bounds_at(plan, history, t, budget, limited=True)
             bounds = {name: value if np.isinf(value) else known[name] for name, value in bounds.items()}
         found |= bounds
     return {goal.name: found[goal.name] for goal in plan.goals}
 
 
-def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited: bool) -> dict[str, float]:
+def _bounds_at(
+    plan: PlanFigures, history: SampleSequence, t: float, budget: Budget, *, limited: bool
+) -> dict[str, float]:
     """The same of the goals that are guaranteed."""
-    search = GainSearch(*sequence_system(plan, history, limited=limited, until=t))
+    search = GainSearch(*sequence_system(plan, history, limited=limited, until=t), budget=budget)
     search.back = looks_back(plan)
     last = max(0, history.taken(t))
     if history.in_parts:
@@ -410,9 +425,17 @@ def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited:
 def at_offset(search: GainSearch, row: Array, k: int, d: float) -> float:
     """A bound on one row (n,) so long after a sample, by gains."""
     if d <= 0:
-        return search.gains(k, search.system.mu(k, row[None])[:, 0]).value
+        return _bounded_by_gains(search, k, search.system.mu(k, row[None])[:, 0])
     opened = open_row(search.system, k, row, d)
-    return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
+    return _bounded_by_gains(search, k, opened.mu[-1]) + float(opened.above[-1])
+
+
+def _bounded_by_gains(search: GainSearch, k: int, mu: Array) -> float:
+    """A bound on mu'z at a node by gains that are solved for, and kept; by the filter's once the budget is over."""
+    if not search.budget.over:
+        return search.gains(k, mu).value
+    search.sketch(k, mu[None])
+    return float(search.directions[k].bound(mu[None])[0])
 
 
 def _transient_factors(plan: PlanFigures, sequence: SampleSequence, search: GainSearch, stop: int) -> dict[int, float]:
@@ -466,5 +489,5 @@ def _beyond(search: GainSearch, k: int, reach: Array, room: float) -> float:
     entries = np.eye(reach.size)
     known = search.directions[k].bound(entries) / reach
     for i in np.flatnonzero(known > room):
-        known[i] = min(known[i], search.gains(k, entries[i]).value / reach[i])
+        known[i] = min(known[i], _bounded_by_gains(search, k, entries[i]) / reach[i])
     return float(known.max(initial=0.0))

@@ -322,12 +322,12 @@ def next_sample(
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = _with_awaited(plan, taken, [*awaited], at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    run = NextChoices(plan, _history(plan, taken, at), at, limit)
-    known = known_at(plan, run.history, at)
+    run = NextChoices(plan, _history(plan, taken, at), at, limit, prove=prove)
+    known = known_at(plan, run.history, at, limit)
     exceeded = run.exceeded(known)
-    full = run.answer(None, prove)
+    full = run.answer(None)
     if not np.isfinite(full.t):
-        full = run.soonest(prove)
+        full = run.soonest()
     keeps = full.kept_from <= at
     alone, alone_deadlines = dict[str, float](), dict[str, GoalDeadline]()
     best, deadline = (full.t, full.mask), None
@@ -335,7 +335,7 @@ def next_sample(
         for j, name in enumerate(plan.plant.outputs.names):
             same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
             if keeps and plan.chosen[:, j].any() and (same or not limit.over):
-                alone[name] = full.t if same else run.answer(j, prove).t
+                alone[name] = full.t if same else run.answer(j).t
                 why = run.later(None if same else j, alone[name])
                 if why is not None:
                     alone_deadlines[name] = why

@@ -7,16 +7,19 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy.readings import BelowDetection
+from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDeadline
+from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
-from sampling_design.planning.sequence import looks_back, proven_ratio
+from sampling_design.planning.sequence import known_at, looks_back, proven_ratio, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.sequence_system import plan_system
 from sampling_design.planning.upcoming_sample import _history, _taken
+from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.counted_clock import Counted
 
@@ -280,6 +283,29 @@ def test_within_a_budget_the_latest_sample_that_is_proven_by_then_is_the_answer(
     assert latest[1][0] <= latest[2][0]
     with pytest.raises(ArgumentError, match=r"`budget` must be positive, got 0\.0"):
         sd.next_sample(week, now=0.0, budget=0.0)
+
+
+def test_once_a_budget_is_over_the_filters_gains_prove_no_less_than_is_attained_and_nothing_is_solved(
+    week, monkeypatch
+):
+    """Of late and lost samples: above what gains that are solved for prove, and the same where none are needed."""
+    step = week.problem.step
+    changed = [delayed(week, 0, 20 * step), delayed(week, 1, 12 * step), *(without(week, k, 1) for k in (0, 1))]
+    near, until = delayed(week, 1, 2 * step), float(changed[0].times[-1])
+    best = [proven_ratio(week, each, {}) for each in [near, *changed]]
+    known = known_at(week, changed[0], until)["level"]
+
+    def refused(*given):
+        raise AssertionError("a program is solved")
+
+    monkeypatch.setattr(GainSearch, "gains", refused)
+    for each, solved in zip(changed, best[1:], strict=True):
+        with pytest.raises(AssertionError, match="a program is solved"):
+            proven_ratio(week, each, {})
+        found = proven_ratio(week, each, {}, Budget(-1.0))
+        assert worst_ratio(week, each) * (1 - 1e-6) <= solved < found < 1.1 * solved
+    assert proven_ratio(week, near, {}, Budget(-1.0)) == best[0]
+    assert known < known_at(week, changed[0], until, Budget(-1.0))["level"] < 1.5 * known
 
 
 @pytest.mark.parametrize("known", [None, 40.0])

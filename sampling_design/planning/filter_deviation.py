@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design.numerics.filtering import propagate
+from sampling_design.numerics.filtering import covariance_root, propagate
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
@@ -27,7 +27,7 @@ SETTLED = 1e-9  # relative change of the largest variance over a period at which
 PERIODS = 400  # periods that are followed, at most
 LOOKS = 2  # of these, that are followed step by step at least: the last one is looked at, and what it differs by
 SPARSE = 4  # steps for each sample of a period from which on it is followed from sample to sample at first
-GROWN = 1e60  # growth of a state over a period up to which it is
+DROWNED = 1e6  # growth of a covariance over a period from which on roots take its place, step by step
 TANGENT_PERIODS = 40  # the same for a tangent, whose steps are kept
 BEYOND = 1e120  # a covariance that is larger is as good as infinite
 ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more periods are followed
@@ -63,16 +63,22 @@ class GridFilter:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
         n, (B, M, _), read = self.discrete.n, chosen.shape, np.any(chosen, axis=(0, 2)).tolist()
         P, lost, periods = self._from_sample_to_sample(chosen)
+        P, noise = np.sqrt(P) if self.grows else P, np.broadcast_to(covariance_root(self.Q), (B, n, n))
         before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
         last = np.full((B, len(self.rows)), np.inf)
         for _ in range(periods, PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
             for i in range(M):
-                P = propagate(P, self.F, self.Q)
-                before[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows)
-                P = self.measured(P, chosen[:, i]) if read[i] else P
-                after[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows) if read[i] else before[i]
-                far = np.abs(P).max(axis=(1, 2)) > BEYOND
+                P = (
+                    _triangles(np.concatenate([self.F @ P, noise], axis=2))
+                    if self.grows
+                    else propagate(P, self.F, self.Q)
+                )
+                before[i] = self._variance(P)
+                if read[i]:
+                    P = self._rooted(P, chosen[:, i]) if self.grows else self.measured(P, chosen[:, i])
+                after[i] = self._variance(P) if read[i] else before[i]
+                far = np.abs(P).max(axis=(1, 2)) > (np.sqrt(BEYOND) if self.grows else BEYOND)
                 if far.any():
                     lost |= far
                     P[far] = 0.0
@@ -83,15 +89,33 @@ class GridFilter:
         before[:, lost], after[:, lost] = BEYOND, BEYOND
         return np.moveaxis(before, 0, 2), np.moveaxis(after, 0, 2)
 
+    def _variance(self, P: Array) -> Array:
+        """Of the goals' rows (B, goals), by covariances or by roots."""
+        if self.grows:
+            return np.asarray(np.sum((self.rows @ P) ** 2, axis=2))
+        return np.asarray(np.einsum("gi,bij,gj->bg", self.rows, P, self.rows))
+
+    def _rooted(self, root: Array, read: Mask) -> Array:
+        """Roots (B, n, n) of covariances after samples that `read` (B, p): what was large before takes no digit."""
+        for j in np.flatnonzero(read.any(axis=0)).tolist():
+            root[read[:, j]] = _read(root[read[:, j]], self.S[j : j + 1])
+        return root
+
+    @cached_property
+    def grows(self) -> bool:
+        """Whether a period without a sample makes covariances so large that of what is known then no digit is left."""
+        growth = float(np.abs(np.linalg.eigvals(self.F)).max(initial=0.0))
+        return bool(self.problem.steps * np.log(max(growth, 1.0)) > np.log(DROWNED) / 2)
+
     def _from_sample_to_sample(self, chosen: Mask) -> tuple[Array, Mask, int]:
         """Covariances (B, n, n) after a period like the one before it, which are lost, and the periods that it took.
 
-        Of nothing known, after no period, where samples are many or states grow by very much over a period.
+        Of nothing known, after no period, where samples are many or states grow by much over a period.
         """
         (B, M, _), n = chosen.shape, self.discrete.n
         P, lost, sampled = np.tile(np.eye(n) * WIDE, (B, 1, 1)), np.zeros(B, dtype=bool), chosen.any(axis=2)
         K = int(sampled.sum(axis=1).max(initial=0))
-        if SPARSE * K > M or not K or np.abs(np.linalg.eigvals(self.F)).max(initial=0.0) ** M > GROWN:
+        if SPARSE * K > M or not K or self.grows:
             return P, lost, 0
         order = np.argsort(~sampled, axis=1, kind="stable")[:, :K]
         at = np.where(np.take_along_axis(sampled, order, axis=1), order, M - 1)  # what is not sampled: nothing is read
@@ -224,15 +248,19 @@ class GridFilter:
                 found[of] = np.maximum(found[of], np.where(when, most, 0.0))
         return np.maximum.accumulate(found, axis=1)
 
-    def worst(self, chosen: Mask) -> Array:
-        """Ratios (B, goals) of standard deviation to tolerance, 0 for goals of the other kind."""
+    def ratios(self, chosen: Mask) -> Array:
+        """Standard deviations over tolerances (B, goals, M); 0 where they are not asked for."""
         before, after = self.variances(chosen)
-        found = np.zeros(before.shape[:2])
+        found = np.zeros(before.shape)
         for g, goal in enumerate(self.problem.goals):
             if goal.stochastic:
                 values = np.where(self._wanted(goal, chosen), (after if own(goal) else before)[:, g], 0.0)
-                found[:, g] = np.sqrt(np.maximum(values.max(axis=1), 0.0)) / goal.tolerance
+                found[:, g] = np.sqrt(np.maximum(values, 0.0)) / goal.tolerance
         return found
+
+    def worst(self, chosen: Mask) -> Array:
+        """Their largest (B, goals)."""
+        return np.asarray(self.ratios(chosen).max(axis=2))
 
     def _wanted(self, goal: RowGoal, chosen: Mask) -> Mask:
         """Steps (B, M) at which a goal is wanted."""
@@ -286,7 +314,6 @@ class GridFilter:
         n, M = self.discrete.n, len(z)
         P, last = np.zeros((n, n)), 0.0
         row = self.rows[g] / self.problem.goals[g].tolerance
-        information = np.einsum("mp,pi,pj->mij", z, self.S, self.S)
         some, periods = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
         for _ in range(TANGENT_PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), M * n)
@@ -294,8 +321,8 @@ class GridFilter:
             for i in range(M):
                 before[i] = P = propagate(P, self.F, self.Q)
                 if some[i]:
-                    P = np.linalg.solve(np.eye(n) + P @ information[i], P)
-                    P = (P + P.T) / 2
+                    root = _read(covariance_root(P)[None], np.sqrt(z[i])[:, None] * self.S)[0]
+                    P = root @ root.T
                 after[i] = P
                 if np.abs(P).max() > BEYOND:
                     return periods or [(before, after)]
@@ -305,6 +332,21 @@ class GridFilter:
                 break
             last = now
         return periods
+
+
+def _triangles(roots: Array) -> Array:
+    """Lower triangles T with T T' = R R' of roots R (B, n, m); the largest columns first, or the small ones drown."""
+    order = np.argsort(-np.abs(roots).max(axis=1), axis=1, kind="stable")[:, None]
+    rows = np.take_along_axis(roots, order, axis=2).swapaxes(1, 2)
+    return np.asarray(np.linalg.qr(rows, mode="r")).swapaxes(1, 2)
+
+
+def _read(roots: Array, rows: Array) -> Array:
+    """Roots (B, n, n) of what is left unknown once rows (k, n) are read, in units of their noise."""
+    (B, n, _), k = roots.shape, len(rows)
+    both = np.zeros((B, k + n, k + n))
+    both[:, :k, :k], both[:, :k, k:], both[:, k:, k:] = np.eye(k), rows @ roots, roots
+    return _triangles(both)[:, k:, k:]
 
 
 def reached_first(A: Array, N: Array) -> tuple[Array, int]:

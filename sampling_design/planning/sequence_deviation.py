@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sampling_design.numerics.filtering import measurement_update, propagate
+from sampling_design.numerics.filtering import TINY, measurement_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, own
@@ -309,7 +309,7 @@ class SequenceFilter:
                 after.append(P)
                 P = self._flow(P, float(gap))
             now = np.array([np.trace(X) for X in after])
-            change = float(np.max(np.abs(now - last) / now)) if last.size else 1.0
+            change = float(np.max(np.abs(now - last) / np.maximum(now, TINY))) if last.size else 1.0
             back = back if back or change > FORGOTTEN else (period + 1) * len(schedule)
             if change <= SETTLED:
                 break
@@ -381,7 +381,7 @@ class SequenceFilter:
         """The least a with P <= a usual."""
         from scipy.linalg import eigh
 
-        tiny = 1e-13 * np.diag(np.diag(usual))
+        tiny = np.diag(1e-13 * np.diag(usual) + TINY)  # of what nothing drives nothing is left
         return float(eigh(P, usual + tiny, eigvals_only=True)[-1])
 
     def _limit(self, sequence: SampleSequence, k: int) -> Array:

@@ -459,3 +459,35 @@ def test_what_is_too_much_to_be_judged_one_by_one_is_gone_through_once(found, mo
     for level, below in ((1.0, 5.0), (1.0, 5.0), (1.2, 6.0), (0.9, 5.0), (1.0, 5.0), (1.0, 4.0)):
         assert search._one_by_one(level, below) is None
     assert asked == [(1.0, 5.0), (0.9, 5.0), (1.0, 4.0)]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_what_grows_without_a_sample_takes_no_digit_of_what_is_known_after_one(angle):
+    rates, noise, drive, step, M = np.array([2.0, -0.3]), np.array([0.1, 0.2]), np.array([0.1, 0.3]), 1.0, 9
+    T = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    terms = {f"y{i + 1}": {"noise_deviation": float(s)} for i, s in enumerate(noise)}
+    wanted = sd.PlanRequirement(
+        {"x1": goal(1.0, at=[4.0, 8.0])}, period=M * step, grid=step, w_intensity=(drive**2).tolist(), sensors=terms
+    )
+    problem = pose_plan(sd.Plant(T @ np.diag(rates) @ T.T, T.T, G=T), wanted)
+    chosen = np.zeros((M, 2), dtype=bool)
+    chosen[1] = True
+
+    def later(P, t):  # each mode has its sensor: two scalar recursions, without a difference
+        return P * np.exp(2 * rates * t) + drive**2 * np.expm1(2 * rates * t) / (2 * rates)
+
+    P = np.zeros(2)
+    for _ in range(200):
+        P = later(P, M * step)
+        P = P * noise**2 / (P + noise**2)
+    expected = [np.sqrt(T[0] ** 2 @ later(P, t)) for t in (3.0, 7.0)]
+    assert GridFilter(problem, discretize(problem)).ratios(chosen[None])[0, 0, [4, 8]] == pytest.approx(expected, 1e-9)
+
+
+def test_a_plan_of_what_nothing_drives_reaches_nothing_and_is_read_back(tmp_path):
+    level = sd.Plant([[-0.5]], [[1.0]], states=["level"], outputs=["y"])
+    wanted = sd.PlanRequirement({"level": goal(1.0)}, period=4.0, grid=1.0, w_intensity=0.0, sensors={"y": TERMS["y"]})
+    plan = sd.plan_samples(level, wanted)
+    assert plan.reached.tolist() == [0.0]
+    assert plan.robustness is not None
+    assert read_plan(plan.save(tmp_path / "plan.json")).verify()

@@ -25,7 +25,6 @@ from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import discretize, finer_grid, modes_of
 from sampling_design.planning.disturbed import plan_robustness, plan_start
 from sampling_design.planning.evidence import EASED, CostProof, PlanBound, gathered
-from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, limit_of, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import FeasibleChoices, ProvenChoice
@@ -249,9 +248,9 @@ class _Planning:
         self._require_detectable()
         worst, trajectories = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(trajectories, 0.0 if self.oracle.few else 1.0)
-        if worst > 1:
-            self._refuse(trajectories)
         everything = proven_choice.densest(self.problem)
+        if worst > 1:
+            proven_choice.refuse_what_none_keeps(self.oracle, everything, 1 + 4 * MARGIN)
         worst, trajectories = self.oracle.judge(everything, longest=True)
         search.add(trajectories, 1.0)
         self.kept = worst <= 1
@@ -465,22 +464,6 @@ class _Planning:
                 )
             chosen = other
         return chosen
-
-    def _refuse(self, trajectories: list[HiddenTrajectory]) -> None:
-        """Say which goals not even all that is allowed keeps, each with what it does keep."""
-        ratios = np.zeros(len(self.problem.goals))
-        if self.oracle.grid_filter is not None:
-            ratios = np.asarray(self.oracle.grid_filter.worst(self.problem.allowed[None])[0], dtype=float).copy()
-        for trajectory in trajectories:
-            if trajectory.response is not None:
-                ratios[trajectory.goal] = max(ratios[trajectory.goal], trajectory.reach)
-        each = list(zip(self.problem.goals, ratios.tolist(), strict=True))
-        kept = ", ".join(f"{g.name} {short(g.tolerance * r)} instead of {short(g.tolerance)}" for g, r in each if r > 1)
-        raise InfeasibleRequirementError(
-            f"Not even measuring at every allowed time keeps the tolerances: at best {kept} could be kept.",
-            "accuracy",
-            {g.name: g.tolerance * max(1.0, r * (1 + 4 * MARGIN)) for g, r in each},
-        )
 
     def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.complete

@@ -214,9 +214,12 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     steps, step = _grid(plant, requirement, unit)
     checks.known_keys("`sensors`", requirement.sensors, plant.outputs.names)
     terms = [requirement.sensors.get(name, Sensor()) for name in plant.outputs.names]
-    allowed = _allowed(plant, requirement, terms, steps, step)
+    used = [steps if t.longest_use is None else t.longest_use for t in terms]
+    allowed = _allowed(plant, requirement, terms, steps, step) & (np.array(used) > 0)
     if not allowed.any():
-        raise InfeasibleRequirementError("No sensor may be measured at any time of the period: see `hours`.", "hours")
+        raise InfeasibleRequirementError(
+            "No sensor may be measured at any time of the period: see `hours`, `available` and `longest_use`.", "hours"
+        )
     asked = [requirement.spacing, *(term.spacing for term in terms)]
     places = ["spacing", *(f"sensors.{name}.spacing" for name in plant.outputs.names)]
     spacing, *in_step = [
@@ -224,7 +227,6 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         for place, least in zip(places, asked, strict=True)
     ]
     late = _tolerance(requirement, unit, plant, steps * step)
-    used = [steps if t.longest_use is None else t.longest_use for t in terms]
     goals = tuple(_goals(plant, requirement, unit, step))
     _check_bounds(requirement, terms, goals)
     bound = np.array([t.sure_bound for t in terms])

@@ -24,12 +24,14 @@ from sampling_design.planning.adversary_program import forced_response
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.figures import accuracy_of
+from sampling_design.planning.filter_deviation import own
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, deviation_of, reached, without_limits
 from sampling_design.planning.problem import SAME_PRICE, WHOLE, PlanProblem, pose_plan
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
+from sampling_design.records.record import above, short
 from sampling_design.records.units import SECONDS, time_factor
 
 COARSE, COARSE_DATES = 24, 168
@@ -311,3 +313,41 @@ def plan_of(problem: PlanProblem, chosen: Mask, proof: GoalProofs, bound: PlanBo
     plant, requirement, schedule = problem.plant, problem.requirement, problem.schedule(chosen)
     mine = freeze(reached(problem, chosen, *proof))
     return Plan(plant, requirement, schedule, proof[0], mine, bound, status=status, deviation=proof[1])
+
+
+def refuse_what_none_keeps(oracle: AccuracyOracle, everything: Mask, room: float) -> None:
+    """Refuse tolerances that not even all that is allowed keeps; what the densest choice does, with some room, can be.
+
+    After a sample the one that sees most leaves least unknown, and none need be taken that sees less.
+
+    Raises InfeasibleRequirementError if a goal is beyond its tolerance whatever is chosen.
+    """
+    problem = oracle.problem
+    goals, each = problem.goals, _ratios(oracle, problem.allowed)
+    least = [float(x.min() if own(g) else x.max()) if x.size else 0.0 for g, x in zip(goals, each, strict=True)]
+    if max(least) <= 1:
+        return
+    kept = ", ".join(
+        f"{g.name} {short(g.tolerance * r)} instead of {short(g.tolerance)}"
+        for g, r in zip(goals, least, strict=True)
+        if r > 1
+    )
+    text, near = f"Not even measuring at every allowed time keeps the tolerances: at best {kept} could be kept.", {}
+    if oracle.hidden(everything) is None:
+        dense = [max(1.0, float(x.max(initial=0.0)) * room) for x in _ratios(oracle, everything)]
+        near = {g.name: g.tolerance * r for g, r in zip(goals, dense, strict=True)}
+        if not problem.unspaced:
+            text += f" With these spacings and uses {', '.join(f'{k} {above(x)}' for k, x in near.items())} can be."
+    raise InfeasibleRequirementError(text, "accuracy", near)
+
+
+def _ratios(oracle: AccuracyOracle, chosen: Mask) -> list[Array]:
+    """What a choice leaves unknown of each goal over its tolerance: after each sample, or at worst in each gap."""
+    goals, trajectories = oracle.problem.goals, oracle.judge(chosen)[1]
+    found = [
+        np.array([t.reach for t in trajectories if t.goal == g and t.response is not None]) for g in range(len(goals))
+    ]
+    if oracle.grid_filter is not None:
+        values = oracle.grid_filter.ratios(chosen[None])[0]
+        found = [v[v > 0] if g.stochastic else f for g, f, v in zip(goals, found, values, strict=True)]
+    return found

@@ -92,6 +92,48 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
     assert refused.value.nearest == {"position": nearest, "velocity": 0.9}  # what holds already is left as it is
 
 
+@pytest.mark.parametrize("kind", ["guaranteed", "standard deviation"])
+def test_what_not_even_all_times_keep_is_refused_with_what_spacings_allow(kind):
+    terms = {"noise_bound": 0.2, "noise_deviation": 0.2, "longest_use": 4}
+    given = {**GIVEN, "w_intensity": 0.01, "grid": 0.4, "spacing": 0.8, "sensors": {"y": terms}}
+
+    def wanted(tolerance):
+        return sd.PlanRequirement({"position": {"tolerance": tolerance, "kind": kind}}, **given)
+
+    with pytest.raises(
+        InfeasibleRequirementError, match=r"With these spacings and uses position \d.* can be"
+    ) as refused:
+        sd.plan_samples(OSCILLATOR, wanted(0.01), **BARE)
+    assert sd.plan_samples(OSCILLATOR, wanted(refused.value.nearest["position"]), **BARE).keeps
+
+
+@pytest.mark.parametrize("kind", ["guaranteed", "standard deviation"])
+def test_a_poor_sample_that_need_not_be_taken_refuses_no_accuracy_after_samples(kind):
+    level = sd.Plant([[0.0]], [[1.0], [1.0]], states=["level"], outputs=["fine", "rough"])
+    sizes = {
+        key: dict(zip(("noise_bound", "noise_deviation"), (size, size), strict=True))
+        for key, size in (("fine", 0.05), ("rough", 0.5))
+    }
+    sensors = {"fine": {**sizes["fine"], "available": [[0.0, 1.0]]}, "rough": sizes["rough"]}
+    wanted = sd.PlanRequirement(
+        {"level": {"tolerance": 0.1, "kind": kind, "at": "after each sample"}},
+        period=4.0, grid=1.0, w_bound=0.1, w_intensity=0.01, sensors=sensors,
+    )  # fmt: skip
+    plan = sd.plan_samples(level, wanted, **BARE)
+    assert plan.keeps
+    assert plan.status == "complete"
+    assert plan.schedule.times.tolist() == [0.0]
+    worse = wanted.replace(accuracy={"level": {"tolerance": 0.02, "kind": kind, "at": "after each sample"}})
+    with pytest.raises(InfeasibleRequirementError, match=r"at best level 0.0[45]\d* instead of 0.02 could be kept"):
+        sd.plan_samples(level, worse, **BARE)
+
+
+def test_sensors_that_may_never_be_used_are_refused():
+    unused = {"y": {"noise_bound": 0.2, "longest_use": 0}}
+    with pytest.raises(InfeasibleRequirementError, match="see `hours`, `available` and `longest_use`"):
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 0.5}, **{**GIVEN, "sensors": unused}))
+
+
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
     spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "grid": 0.8})
     with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:

@@ -120,12 +120,13 @@ def _triangle(n: int) -> tuple[Index, Index, Array]:
     return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
-def too_large(sizes: Iterable[int], budget: float | None = None) -> SolverRecord | None:
-    """The record of a program that is not posed, by the sizes m = n(n+1)/2 of its semidefinite cones: m^2 numbers each.
+def too_large(sizes: Iterable[int], budget: float | None = None, beside: float = 0.0) -> SolverRecord | None:
+    """The record of a program that is not posed, by the sizes m = n(n+1)/2 of its semidefinite cones: m^2 numbers each,
+    and so many `beside` them.
 
     None where the solver's memory holds it, and the seconds that are left hold what comes before its first step.
     """
-    numbers = float(sum(size**2 for size in sizes))
+    numbers = beside + float(sum(size**2 for size in sizes))
     if numbers <= MOST_NUMBERS and (budget is None or SETTING_UP * numbers <= max(budget, LEAST_SET_UP)):
         return None
     return SolverRecord(

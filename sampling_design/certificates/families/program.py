@@ -148,12 +148,14 @@ class FamilyProgram:
         They are made one after the other, and not all, where they are too large for memory or for what is left of time.
         """
         posed: list[ConeRows] = []
-        places = len(self._edge_points()) + len(self._node_points())
+        places, numbers = len(self._edge_points()) + len(self._node_points()), 0.0
         for block in blocks:
-            expected = [block[2].size] * (places - len(posed)) + [right.size for _, _, right in posed]
-            if refused := conic_programs.too_large(expected, self.budget.seconds_left(LEAST_TIME)):
+            each = float(block[2].size) ** 2
+            expected = numbers + each * max(places - len(posed), 0)
+            if refused := conic_programs.too_large((), self.budget.seconds_left(LEAST_TIME), expected):
                 return 0.0, None, refused
             posed.append(block)
+            numbers += each
         cost = np.zeros(self._width)
         cost[-1] = -1.0
         solution = _solved(cost, posed, self.budget)

@@ -258,7 +258,6 @@ class ConeWindow:
             noisy = y[~sample.exact]
             if system.bounds.v_ball and noisy.size:
                 factor = max(factor, float(np.linalg.norm(noisy)))
-            factor = max(
-                factor, float(np.max(noisy, initial=0.0)), float(np.max(y[sample.exact], initial=0.0)) / EXACTLY
-            )
+            most = np.maximum(sample.noise, EXACTLY)
+            factor = max(factor, float(np.max(y / most, initial=0.0)))
         return factor * (1 + ROUNDING)

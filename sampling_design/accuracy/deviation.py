@@ -203,8 +203,9 @@ class _DeviationCurves:
         self.D, self.A, self._L, self._directions, self._r = system.D, system.A, system.L, directions, system.determined
         G = plant.G / self.D[:, None]
         self._noise = symmetrise(G @ W @ G.T)
-        rows = [plant.C[s.outputs] * self.D / s.size[:, None] for s in system.samples]
-        self._exact = [s.exact for s in system.samples]  # their size is for coordinates alone
+        self._exact = [s.noise == 0 for s in system.samples]  # their size is for coordinates alone
+        sizes = [s.size * np.where(own, 1.0, s.noise) for s, own in zip(system.samples, self._exact, strict=True)]
+        rows = [plant.C[s.outputs] * self.D / size[:, None] for s, size in zip(system.samples, sizes, strict=True)]
         self._roots = self._endless(rows) if question.initial is None else self._finite(rows)
 
     def _flows(self, lengths: Array) -> list[tuple[Array, Array]]:

@@ -48,8 +48,9 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
     balance, A, G, F, W = balanced_flows(plant, steps, bounds)
     known = np.linalg.norm(initial.rows * balance, axis=0)  # what nothing drives shows what the start does to it
     begun = np.divide(1.0, known, out=np.zeros_like(known), where=known > 0)
-    rows, sizes, exact = noise_units(plant.C * balance, bounds, W if W.any() else np.diag(begun**2)[None])
-    shown = [H * np.where(own, EXACT, 1.0)[:, None] for H, own in zip(rows, exact, strict=True)]
+    moved = W if W.any() else np.diag(begun**2)[None]
+    rows, sizes, noise = noise_units(plant.C * balance, bounds, moved, A, G, float(np.mean(steps)))
+    shown = [H * np.where(own < 1, EXACT, 1.0)[:, None] for H, own in zip(rows, noise, strict=True)]
     D = _scales(F, W, rows, known, initial.exact, shown)
     (A, F), G, W, rows = (M * D / D[:, None] for M in (A, F)), G / D[:, None], W / np.outer(D, D), [H * D for H in rows]
     D = balance * D
@@ -61,7 +62,7 @@ def finite_system(plant: Plant, times: Array, end: float, bounds: SignalBounds, 
             root, K, _ = root_update(largest_first(root), H, np.eye(len(H)))
         roots.append(coordinate_root(root))
         K = np.asarray(np.linalg.solve(roots[j], K))
-        samples.append(MeasurementModel(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
+        samples.append(MeasurementModel(bounds.measured(j), sizes[j], H @ roots[j], noise[j], K))
         if j < len(lengths):
             root = carried(root, F[j], covariance_root(W[j]))
     L = np.array(roots)

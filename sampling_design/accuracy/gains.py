@@ -93,7 +93,7 @@ def followed_back(
     propagated: dict[int, tuple[GapDynamics, list[Array]]] = {}  # one integral for a gap that comes many times
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = system.samples[nodes[k]], gains_at(k, g)
-        total += noise_cost(lam, sample.exact, system.bounds.v_ball)
+        total += noise_cost(lam, sample.noise, system.bounds.v_ball)
         step = sample.H.T @ lam
         scale += np.linalg.norm(step, axis=0)
         terms, g = np.abs(g) + np.abs(step), g - step

@@ -123,7 +123,7 @@ def _without(sample: MeasurementModel, arrived: Mask) -> MeasurementModel:
     """A sample of which only some outputs are in."""
     keep = arrived[sample.outputs]
     return MeasurementModel(
-        sample.outputs[keep], sample.size[keep], sample.H[keep], sample.exact[keep], sample.K[:, keep]
+        sample.outputs[keep], sample.size[keep], sample.H[keep], sample.noise[keep], sample.K[:, keep]
     )
 
 

@@ -27,7 +27,9 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 
-EXACT = 1e-6  # size given to an exact sensor, in units of what w does to its output over a period: for scaling only
+EXACT = 1e-6
+"""Size given to an exact sensor, in units of what w does to its output: over a period; of one that is nearly exact over
+a time in which little grows. Rows in units of less noise would part states by more than doubles hold."""
 
 PANEL = 0.125  # length of a panel times the pace of A in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose at first
@@ -93,13 +95,21 @@ class GapDynamics:
 
 @dataclass(frozen=True, eq=False)
 class MeasurementModel:
-    """One sample: rows in units of the noise bound, which of them are exact, and the filter's gain."""
+    """One sample: rows in units of `size`, a bound on the noise in them, and the filter's gain.
+
+    That bound is 1, or less of sensors that are nearly `exact` (`EXACT`), and 0 of those that are.
+    """
 
     outputs: Index
     size: Array
     H: Array
-    exact: Mask
+    noise: Array
     K: Array
+
+    @property
+    def exact(self) -> Mask:
+        """Which sensors adversaries leave no noise: what that costs them is nothing, or nearly."""
+        return np.asarray(self.noise < 1)
 
 
 class KnownSpan(NamedTuple):
@@ -351,7 +361,7 @@ class SampledSystem:
                 sample = self.samples[at]
                 gains = sample.K.T @ mu
                 mu = mu - sample.H.T @ gains
-                cost += noise_cost(gains, sample.exact, self.bounds.v_ball)
+                cost += noise_cost(gains, sample.noise, self.bounds.v_ball)
                 left = _largest_column(mu)
                 if left > GROWN:
                     raise too_far()
@@ -396,9 +406,9 @@ def too_far() -> UndecidedError:
     )
 
 
-def noise_cost(gains: Array, exact: Mask, ball: bool) -> Array:
+def noise_cost(gains: Array, noise: Array, ball: bool) -> Array:
     """h_V of scaled gains (p, k): exact sensors cost nothing."""
-    noisy = gains[~exact]
+    noisy = gains * noise[:, None]
     return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
 
 
@@ -409,7 +419,7 @@ def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Arr
     """
     refuse_growth(plant, gaps)
     balance, A, G, F, W = balanced_flows(plant, gaps, bounds)
-    rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
+    rows, sizes, noise = noise_units(plant.C * balance, bounds, W, A, G, float(np.mean(gaps)))
     D = state_scales(F, W, rows if moving is None else _rows_between(A, gaps, rows))
     (A, F), G, W, rows = (M * D / D[:, None] for M in (A, F)), G / D[:, None], W / np.outer(D, D), [H * D for H in rows]
     U = np.zeros((len(A), 0)) if moving is None else moving / (balance * D)[:, None]
@@ -429,7 +439,7 @@ def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Arr
         K = np.vstack([np.linalg.solve(root, gain), np.zeros((len(A) - r, len(H)))])
         scaled_rows = H @ L[j]
         scaled_rows[:, r:] = 0.0
-        samples.append(MeasurementModel(bounds.measured(j), sizes[j], scaled_rows, exact[j], K))
+        samples.append(MeasurementModel(bounds.measured(j), sizes[j], scaled_rows, noise[j], K))
     steps, table = [], GapTable(A, G, np.ones(len(A)))
     for j, h in enumerate(gaps):
         gap = make_gap(table, float(h), L[j], L[(j + 1) % len(rows)], F[j])
@@ -465,20 +475,31 @@ def _bases(F: Array, U: Array) -> list[Array]:
     return found
 
 
-def noise_units(C: Array, bounds: SignalBounds, W: Array) -> tuple[list[Array], list[Array], list[Mask]]:
-    """Rows of each sample over the size of its noise, those sizes, and which sensors are exact."""
-    driven = np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0))
+def noise_units(
+    C: Array, bounds: SignalBounds, W: Array, A: Array, G: Array, step: float
+) -> tuple[list[Array], list[Array], list[Array]]:
+    """Rows of each sample over the size of its noise, those sizes, and bounds on the noise in them.
+
+    W (k, n, n) is what w does over a period, `step` a time between samples.
+    """
+    driven, brief = _output_sizes(C, W), step / max(1.0, step * float(np.linalg.norm(A, 1)))
+    least = EXACT * _output_sizes(C, discounted_flow(A, G @ G.T, np.array([brief]))[1] * brief)
     stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
     stand_in = np.where(stand_in > 0, stand_in, 1.0)
-    rows, sizes, exact = [], [], []
+    rows, sizes, noise = [], [], []
     for j in range(bounds.v.shape[0]):
         outputs = bounds.measured(j)
         v = bounds.v[j, outputs]
-        size = np.where(v > 0, v, stand_in[outputs])
+        size = np.where(v > 0, np.maximum(v, least[outputs]), stand_in[outputs])
         rows.append(C[outputs] / size[:, None])
         sizes.append(size)
-        exact.append(v == 0)
-    return rows, sizes, exact
+        noise.append(v / size)
+    return rows, sizes, noise
+
+
+def _output_sizes(C: Array, W: Array) -> Array:
+    """Deviations of outputs of which covariances W (k, n, n) are joined."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0)))
 
 
 def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> GapDynamics:

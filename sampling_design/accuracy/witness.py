@@ -279,7 +279,7 @@ def attains(
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
     noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[period], np.inf)
     rounding = SHOWN * witness.sizes_at_samples(initial) @ np.abs(witness.plant.C).T
-    noise = np.where((limit == 0) & (noise <= rounding), 0.0, noise)
+    noise = np.where((limit <= rounding) & (noise <= rounding), 0.0, noise)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
     return float(witness.row @ x), max(beyond(w, bounds.w), beyond(noise, limit), begun)

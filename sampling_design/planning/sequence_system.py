@@ -385,11 +385,12 @@ def _planned(plan: PlanFigures, sequence: SampleSequence, k: int) -> int | None:
 
 def _noisier(sample: MeasurementModel, v_bound: Array, noise: Array) -> MeasurementModel:
     """A sample of the plan with so much more noise (p,): itself where that is the plan's."""
-    size = (v_bound + noise)[sample.outputs]
-    if np.array_equal(size, sample.size):
+    if not noise.any():
         return sample
+    bound = (v_bound + noise)[sample.outputs]
+    size = np.maximum(bound, sample.size)
     share = sample.size / size
-    return replace(sample, size=size, H=sample.H * share[:, None], K=sample.K / share)
+    return replace(sample, size=size, H=sample.H * share[:, None], noise=bound / size, K=sample.K / share)
 
 
 def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[Array, MeasurementModel]:
@@ -397,7 +398,9 @@ def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[A
     own, v_bound = plan_system(plan), plan.problem.v_bound
     v = np.where(measured & np.isfinite(v_bound), v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
-    (H,), (size,), (exact,) = sampled_system.noise_units(plan.plant.C * own.D, bounds, P[None])
+    (H,), (size,), (own_noise,) = sampled_system.noise_units(
+        plan.plant.C * own.D, bounds, P[None], own.A, own.G, float(np.mean(own.lengths))
+    )
     root = coordinate_root(covariance_root(information_update(P, H.T @ H)))
     K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
-    return root, MeasurementModel(bounds.measured(0), size, H @ root, exact, K)
+    return root, MeasurementModel(bounds.measured(0), size, H @ root, own_noise, K)

@@ -103,7 +103,7 @@ def _cut(system: SampledSystem, directions: Sequence[BoundedDirections], part: G
         lam = np.zeros((len(sample.H), total.size))
         for k in np.flatnonzero(going).tolist():
             lam[:, k] = sample.K.T @ g[:, k] + part.gains[k][-1 - i]
-        total = total + noise_cost(lam, sample.exact, system.bounds.v_ball)
+        total = total + noise_cost(lam, sample.noise, system.bounds.v_ball)
         g = g - sample.H.T @ lam
         cost[i] = np.where(going, total, cost[i - 1])
         rest[i] = np.where(going, directions[node].reach @ np.abs(g), rest[i - 1])

@@ -244,6 +244,26 @@ def test_exact_sensors_say_that_the_program_is_degenerate():
     assert sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1).notice == ""
 
 
+@pytest.mark.parametrize("kind", ["endless", "finite", "together", "late"])
+@pytest.mark.parametrize("unit", few([1.0, 1e-9, 1e9], 1))
+def test_less_noise_is_never_worse_down_to_none(kind, unit):
+    """A sensor's rows in units of noise that is nearly none have parted states by more than doubles hold."""
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]] if kind != "together" else [[1.0, 0.0], [0.9, 0.1]])
+    asked = {"w_bound": 0.02 * unit, "timing_tolerance": 0.01 if kind == "late" else 0.0}
+    schedule = sd.PeriodicSchedule.from_times([0.0, 3.0], 6.4)
+    if kind == "finite":
+        schedule, asked["initial_error"] = sd.Schedule([0.0, 0.4, 3.0]), unit
+    before = None
+    for noise in (1e-3, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-13, 0.0):
+        found = sd.guaranteed_accuracy(plant, schedule, v_bound=noise * unit, **asked)
+        assert found.verify()
+        assert kind == "late" or found.closed.all()
+        if before is not None:
+            assert np.all(found.lower <= before.upper)
+            assert np.all(found.upper <= before.upper * 1.02)  # brackets are 1 % wide
+        before = found
+
+
 def test_what_is_unseen_and_decays_is_known():
     plant = sd.Plant([[-0.5, 0.0], [0.0, 0.0]], [[0.0, 1.0]])
     found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=[0.1, 0.1], v_bound=0.1)

@@ -28,8 +28,8 @@ ADVERSARIES = (8, 32)  # sought for the profile of one row, where one of them is
 ADVERSARIES_LONG = 3  # adversaries and targets solved, where windows are as long as the filter's memory
 SMALL = 20000  # states times states and entries of w, all along the window, of a small program
 TAIL = 64  # samples back to which gains that are put together go on as the filter's, at most
-PROGRAM, FITTED = (1e-3, 1e-6), (1e-3, 2e-8)
-"""Counted: a cone program, and each entry of it; a gap's offsets for known directions, and each of both and state."""
+PROGRAM, FITTED = (1e-3, 8e-6), (1e-3, 2e-8)
+"""Counted: a cone program, and each unknown of it; a gap's offsets for known directions, and each of both and state."""
 
 STRETCH = 32  # panels of a gap at the highest of which gains are put together at once
 FOLLOWED = 8  # states from which on that costs less than the programs that it saves
@@ -134,7 +134,7 @@ class GainSearch:
         """A window about to be solved, counted."""
         self.solves += 1
         self._tell()
-        self.budget.add(PROGRAM, window.entries)
+        self.budget.add(PROGRAM, window.entries / self.system.D.size)
         return window
 
     def sketch(self, j: int, mu: Array) -> None:

@@ -409,6 +409,22 @@ def test_a_bound_of_a_state_that_is_hardly_seen_does_not_drown_in_rounding():
     assert truth <= design.upper_bound <= truth * 1.01
 
 
+def test_what_counts_of_samples_share_of_a_bound_is_worked_out_once(monkeypatch):
+    """The same g to the last digit for six and for seven samples, and another one for another plant."""
+    none = np.zeros((0, 2)), np.zeros(0), (None,)
+    A, edges = np.array([[0.0, 1.0], [-1.37, 0.0]]), np.linspace(0.0, 4.0, 801)
+    worked, ahead = [], bound.rows_ahead
+    monkeypatch.setattr(bound, "rows_ahead", lambda *given: (worked.append(1), ahead(*given))[1])
+    cases = [DesignProblem(Plant(a, np.eye(1, 2)), 4.0, 4.0, 0.08, k, *none) for a, k in ((A, 6), (A, 7), (2 * A, 7))]
+    found, much = [], []
+    for case in cases:
+        found.append(bound.profile(case, np.zeros(1), np.eye(2)[None] / 2, edges))
+        much.append(len(worked))
+    assert 0 < much[0] == much[1] < much[2]
+    assert all(np.array_equal(getattr(found[0], name), getattr(found[1], name)) for name in ("left", "right", "bend"))
+    assert not np.allclose(found[1].left, found[2].left)
+
+
 def test_a_peak_that_no_sample_meets_does_not_make_the_rest_coarse(monkeypatch):
     """Eight integrators: just after a sample g is a thousand times what all others bring, and no measure for these."""
     none = np.zeros((0, 2)), np.zeros(0), (None,)

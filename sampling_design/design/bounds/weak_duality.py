@@ -22,7 +22,8 @@ from sampling_design.design.problem.design_problem import ON_AN_END, DesignProbl
 from sampling_design.design.problem.feasible import without_hours
 from sampling_design.design.problem.gram import lags
 from sampling_design.numerics.linalg import AT_ONCE, expm_batch, rows_ahead
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.kept import kept
 
 CELLS, CELLS_PER_RATE = 1200, 48.0
 """Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""
@@ -55,18 +56,12 @@ class DualProfile:
 def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> DualProfile:
     """Evaluate g on the pieces between `edges`, which must hold every jump of g.
 
-    With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it,
-    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|. Where the outputs see little
-    of a large Y, that is far too much, and the derivatives up to a higher order are worked out one by one. Y is carried
-    to nodes, a few to each unit of 1/|A|; on the pieces between them rows Ce^{Au} alone are worked out, n times as
-    cheap. What rounding may take from g, as a share of its highest peak, is added to both ends.
+    With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it. What
+    rounding may take from g, as a share of its highest peak, is added to both ends.
     """
     rows, period = problem.rows, problem.period
-    A, C = rows.A, rows.C
-    left, middle, width = edges[:-1], (edges[:-1] + edges[1:]) / 2, np.diff(edges)
-    jumps = jump_times(problem, starts)
-    norm = float(np.linalg.norm(A, 2))
-    apart = period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
+    left, middle = edges[:-1], (edges[:-1] + edges[1:]) / 2
+    jumps, apart = jump_times(problem, starts), _apart(rows.A, period)
     anew = max(apart, period / _DECIDED)
     turns = np.arange(0.0, period, anew) if problem.late else np.zeros(0)  # whether early or late is decided anew
     bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints, turns]), 0.0, period))
@@ -74,7 +69,30 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Du
     used, home = np.unique(home, return_inverse=True)
     ends = np.append(bases, period)
     Y0 = _multipliers_over(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
-    ahead = np.floor((left - bases[used][home]) / apart)  # nodes from the base, for each piece
+    since, width = left - bases[used][home], np.diff(edges)
+    g_left, g_right, bend = _along_pieces(rows.A, rows.C, Y0, home, since, width, apart, _LOOSE)
+    rounded = rows.rounding * float(np.max([g_left, g_right], initial=0.0))
+    return DualProfile(edges, g_left + rounded, g_right + rounded, bend, _beside(problem, starts, edges))
+
+
+def _apart(A: Array, period: float) -> float:
+    """The distance of the nodes to which multipliers are carried."""
+    norm = float(np.linalg.norm(A, 2))
+    return period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
+
+
+@kept
+def _along_pieces(
+    A: Array, C: Array, Y0: Array, home: Index, since: Array, width: Array, apart: float, at_most: float
+) -> tuple[Array, Array, Array]:
+    """g at both ends of pieces that begin `since` after their `home`, where Y is Y0, and bounds on -g'' inside.
+
+    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|. Where the outputs see little
+    of a large Y, that is far too much, and the derivatives up to a higher order are worked out one by one. Y is carried
+    to nodes, a few to each unit of 1/|A|; on the pieces between them rows Ce^{Au} alone are worked out, n times as
+    cheap. All counts of samples ask for the same.
+    """
+    norm, ahead = float(np.linalg.norm(A, 2)), np.floor(since / apart)  # nodes from the base, for each piece
     place = np.stack([home.astype(float), ahead])
     (base, count), node = np.unique(place, axis=1, return_inverse=True)
     node = node.reshape(-1)
@@ -82,7 +100,7 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Du
     for part in _parts(len(Y), A.size):
         step = expm_batch(A, count[part] * apart)
         Y[part] = step @ Y[part] @ np.swapaxes(step, 1, 2)
-    begin = left - bases[used][home] - ahead * apart
+    begin = since - ahead * apart
     with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
         growth = np.exp(2 * norm * (begin + width))[:, None] * np.sum(C**2, axis=1)
     c, end = rows_ahead(C, A, begin), rows_ahead(C, A, begin + width)
@@ -95,13 +113,11 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Du
     g_left, g_right = np.sum(weighted * c, axis=2), np.sum(of_end * end, axis=2)
     high = float(np.max([g_left, g_right], initial=0.0))
     sharpness = remainder_of_bend(A, Y, 3, node, width, growth)
-    loose = np.any(sharpness * (width**2 / 8)[:, None] > _LOOSE * high, axis=1)
+    loose = np.any(sharpness * (width**2 / 8)[:, None] > at_most * high, axis=1)
     if loose.any():
         finer = change_of_bend(A, c[loose], Y, node[loose], width[loose], growth[loose])
         sharpness[loose] = np.minimum(sharpness[loose], finer)
-    rounded = rows.rounding * high
-    beside = _beside(problem, starts, edges)
-    return DualProfile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness, beside)
+    return g_left, g_right, np.maximum(-bend, 0.0) + sharpness
 
 
 def _parts(count: int, size: int) -> list[slice]:

@@ -13,9 +13,11 @@ from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Ce
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import PathCompleteGraph
 from sampling_design.checkers import claims, detectability, family_file, schedule_file
+from sampling_design.checkers.check import verdict
 from sampling_design.checkers.interval_file import OfInterval
+from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.strict import BadFile, Tree
-from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks, file_io
@@ -57,7 +59,8 @@ def read_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
         If the file is missing, cut off, of another format, holds data that are no certificate, or its digest does
         not fit (some byte was altered).
     CertificateError
-        If it certifies another plant.
+        If it certifies another plant, or a weight is not positive definite; UndecidedError where the
+        checkers leave that open.
 
     Examples
     --------
@@ -85,7 +88,7 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
     """Return the certificate in plain data.
 
     Raises ArgumentError if a key is missing or unknown, or a value is not exactly what it should be; FileFormatError if
-    the digest does not fit.
+    the digest does not fit; CertificateError if a weight is not positive definite.
     """
     try:
         content = claims.certificate(data)
@@ -99,7 +102,14 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
         )
     read = READERS.get(type(content)) or offered("read_certificate", data["claim"], SampledCertificate)
     assert read is not None, "a claim that the auditor reads and nobody else"
-    return read(data, plant_from_dict(data["plant"], where), content)
+    try:
+        return read(data, plant_from_dict(data["plant"], where), content)
+    except ArgumentError:  # of numbers that the auditor reads too: what it says of them is the answer
+        found, refused = verdict(data), {REFUTED: CertificateError, UNDECIDED: UndecidedError}
+        if found.verdict not in refused:
+            raise
+        why = f"{where}: is not proven: {found.reason}."
+        raise refused[found.verdict](why, path=where, inequality=found.inequality) from None
 
 
 def _sampled(data: Tree, plant: Plant, content: schedule_file.Sampled) -> Certificate:

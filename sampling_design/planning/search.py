@@ -115,6 +115,8 @@ class PlanSearch:
             return
         if float(np.minimum(x, 1 - x).max(initial=0.0)) <= WHOLE:
             chosen = self.covering.choice(x)
+            if not chosen.any():  # no sample that anything could hide from, or be asked after
+                return
             if (undetected := self.oracle.hidden(chosen)) is not None:
                 self.require_detection(undetected, level)
                 return

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.cone_table import ConeTable
-from sampling_design.numerics.linalg import right_directions, symmetrise
+from sampling_design.numerics.linalg import discounted_flow, right_directions, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -34,6 +34,10 @@ NoiseBound: TypeAlias = Bound | Mapping[str, Entry | Sensor]
 
 NOTHING = 1e-10
 """A rest below this share of the target counts as none where the start is free: rounding, all being of size one."""
+
+EXACT = 1e-6
+"""Size given to an exact sensor, in units of what w does to its output: over a period; of one that is nearly exact over
+a time in which little grows. Rows in units of less noise would part states by more than doubles hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,3 +335,30 @@ def _half_widths(value: object, n: int) -> Array:
             f"or a mapping from names of states, got {checks.described(value)}."
         )
     return squarable("initial_error", half)
+
+
+def noise_units(
+    C: Array, bounds: SignalBounds, W: Array, A: Array, G: Array, step: float
+) -> tuple[list[Array], list[Array], list[Array]]:
+    """Rows of each sample over the size of its noise, those sizes, and bounds on the noise in them.
+
+    W (k, n, n) is what w does over a period, `step` a time between samples.
+    """
+    driven, brief = _output_sizes(C, W), step / max(1.0, step * float(np.linalg.norm(A, 1)))
+    least = EXACT * _output_sizes(C, discounted_flow(A, G @ G.T, np.array([brief]))[1] * brief)
+    stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
+    stand_in = np.where(stand_in > 0, stand_in, 1.0)
+    rows, sizes, noise = [], [], []
+    for j in range(bounds.v.shape[0]):
+        outputs = bounds.measured(j)
+        v = bounds.v[j, outputs]
+        size = np.where(v > 0, np.maximum(v, least[outputs]), stand_in[outputs])
+        rows.append(C[outputs] / size[:, None])
+        sizes.append(size)
+        noise.append(v / size)
+    return rows, sizes, noise
+
+
+def _output_sizes(C: Array, W: Array) -> Array:
+    """Deviations of outputs of which covariances W (k, n, n) are joined."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0)))

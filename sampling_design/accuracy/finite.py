@@ -7,16 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.bounds import InitialSet, SignalBounds
+from sampling_design.accuracy.bounds import EXACT, InitialSet, SignalBounds, noise_units
 from sampling_design.accuracy.gains import path_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sampled_system import (
-    EXACT,
     MeasurementModel,
     SampledSystem,
     balanced_flows,
     make_gap,
-    noise_units,
     refuse_growth,
 )
 from sampling_design.accuracy.undetectable import ROUNDED, UNOBSERVABLE

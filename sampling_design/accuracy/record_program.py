@@ -14,12 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
+from sampling_design.accuracy.bounds import EXACT
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.gains import ROUNDING, RowEnd
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable, RecordCells
 from sampling_design.accuracy.readings import Readings
 from sampling_design.accuracy.record_cones import RecordCones
-from sampling_design.accuracy.sampled_system import EXACT
 from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED

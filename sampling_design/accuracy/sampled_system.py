@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.accuracy.bounds import InitialSet, SignalBounds
+from sampling_design.accuracy.bounds import InitialSet, SignalBounds, noise_units
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, pace, state_scales
 from sampling_design.accuracy.lasting import LastingResponses
 from sampling_design.accuracy.riccati import settled
@@ -26,10 +26,6 @@ from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
-
-EXACT = 1e-6
-"""Size given to an exact sensor, in units of what w does to its output: over a period; of one that is nearly exact over
-a time in which little grows. Rows in units of less noise would part states by more than doubles hold."""
 
 PANEL = 0.125  # length of a panel times the pace of A in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose at first
@@ -473,33 +469,6 @@ def _bases(F: Array, U: Array) -> list[Array]:
         found.append(np.hstack([Q[:, m:], Q[:, :m]]))
         U = step @ Q[:, :m]
     return found
-
-
-def noise_units(
-    C: Array, bounds: SignalBounds, W: Array, A: Array, G: Array, step: float
-) -> tuple[list[Array], list[Array], list[Array]]:
-    """Rows of each sample over the size of its noise, those sizes, and bounds on the noise in them.
-
-    W (k, n, n) is what w does over a period, `step` a time between samples.
-    """
-    driven, brief = _output_sizes(C, W), step / max(1.0, step * float(np.linalg.norm(A, 1)))
-    least = EXACT * _output_sizes(C, discounted_flow(A, G @ G.T, np.array([brief]))[1] * brief)
-    stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
-    stand_in = np.where(stand_in > 0, stand_in, 1.0)
-    rows, sizes, noise = [], [], []
-    for j in range(bounds.v.shape[0]):
-        outputs = bounds.measured(j)
-        v = bounds.v[j, outputs]
-        size = np.where(v > 0, np.maximum(v, least[outputs]), stand_in[outputs])
-        rows.append(C[outputs] / size[:, None])
-        sizes.append(size)
-        noise.append(v / size)
-    return rows, sizes, noise
-
-
-def _output_sizes(C: Array, W: Array) -> Array:
-    """Deviations of outputs of which covariances W (k, n, n) are joined."""
-    return np.asarray(np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0)))
 
 
 def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> GapDynamics:

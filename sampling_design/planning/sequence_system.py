@@ -12,7 +12,7 @@ import numpy as np
 from sampling_design.accuracy import sampled_system
 from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof, combined
-from sampling_design.accuracy.bounds import InitialSet
+from sampling_design.accuracy.bounds import InitialSet, noise_units
 from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, coordinate_root, finite_directions, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out
@@ -398,7 +398,7 @@ def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[A
     own, v_bound = plan_system(plan), plan.problem.v_bound
     v = np.where(measured & np.isfinite(v_bound), v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
-    (H,), (size,), (own_noise,) = sampled_system.noise_units(
+    (H,), (size,), (own_noise,) = noise_units(
         plan.plant.C * own.D, bounds, P[None], own.A, own.G, float(np.mean(own.lengths))
     )
     root = coordinate_root(covariance_root(information_update(P, H.T @ H)))

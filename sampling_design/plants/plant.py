@@ -29,7 +29,6 @@ ORDER = "Others write (A, B, C, D); here only A and C have places, as in Plant(A
 """What is said where a matrix too many was given by place: with square sizes B would pass for C."""
 MATRICES = ("A", "B", "C", "D", "G")
 GROUPS = ("states", "outputs", "inputs", "disturbances")
-LARGEST = 1e300  # size of an entry up to which sums and products of a few are doubles
 _PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
 
 
@@ -140,9 +139,8 @@ class Plant(Record):
     Raises
     ------
     ArgumentError
-        If a matrix has the wrong shape, is complex, or holds NaN, infinity or a number above 1e300, as given or
-        scaled; if C is missing or has no row; if a system comes with matrices beside it, has a delay, or is a
-        discrete-time one that no plant has as its samples.
+        If a matrix has the wrong shape, is complex, or holds NaN or infinity; if C is missing or has no row; if a
+        system comes with matrices beside it, has a delay, or is a discrete-time one that no plant has as its samples.
     CallError
         If more than A and C are given by place.
 
@@ -207,10 +205,6 @@ class Plant(Record):
         for key, size in sizes.items():
             owned[key] = signals_of(key, getattr(self, key), size, _PREFIX[key])
         self._hold(**owned)
-        for key, scaled in self._in_units_of_scales().items():
-            largest = np.max(np.abs([getattr(self, key), scaled]), initial=0.0)
-            if largest > LARGEST:
-                raise ArgumentError(f"`{key}`, as given or scaled, must not exceed {LARGEST:g}, got {largest:.3g}.")
 
     def _take_system(self) -> None:
         """Put the parts of a system in the place of A, where one came."""
@@ -275,14 +269,13 @@ class Plant(Record):
 
     def scaled(self) -> Plant:
         """Return the plant in scaled coordinates x~ = x/s_x, y~ = y/s_y, u~ = u/s_u, w~ = w/s_w, scales one."""
-        plain: dict[str, Any] = {key: Signals(getattr(self, key).names) for key in GROUPS}
-        return remade(self, **self._in_units_of_scales(), **plain)
-
-    def _in_units_of_scales(self) -> dict[str, Array]:
         x, y, u, w = (s.scales for s in (self.states, self.outputs, self.inputs, self.disturbances))
-        rows_and_columns = {"A": (x, x), "C": (y, x), "B": (x, u), "D": (y, u), "G": (x, w)}
-        with np.errstate(over="ignore"):
-            return {key: getattr(self, key) * at / by[:, None] for key, (by, at) in rows_and_columns.items()}
+        return Plant(
+            self.A * x / x[:, None], self.C * x / y[:, None], B=self.B * u / x[:, None], D=self.D * u / y[:, None],
+            G=self.G * w / x[:, None], time_unit=self.time_unit, name=self.name, source=self.source,
+            states=Signals(self.states.names), outputs=Signals(self.outputs.names), inputs=Signals(self.inputs.names),
+            disturbances=Signals(self.disturbances.names),
+        )  # fmt: skip
 
     def augmented(
         self,

@@ -169,7 +169,7 @@ class CostProver:
         """
         best: CostProof | None = None
         attained = high
-        more, low = limit + (self.covering.grain or 1e-6 * max(limit, 1.0)), 0.0
+        more, low = self.covering.beyond(limit), 0.0
         enough = more * (1 - 1e-9)
         if known > 0:
             best = self.least_cost(known, more, keys, decide=True)

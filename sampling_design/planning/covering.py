@@ -203,8 +203,11 @@ class CoveringRows:
     @property
     def dearest(self) -> float:
         """Every admissible choice costs less than this."""
-        limit = min(self.problem.most_cost, float(self.cost.sum()))
-        return limit + (self.grain or 1e-6 * max(limit, 1.0))
+        return self.beyond(min(self.problem.most_cost, float(self.cost.sum())))
+
+    def beyond(self, limit: float) -> float:
+        """A cost just above a limit, by the next one that there can be, or by a little of the limit or of a price."""
+        return limit + (self.grain or GRAIN * (limit or float(self.cost.max())))
 
     @cached_property
     def frame(self) -> tuple[sparse.csr_matrix, Array]:

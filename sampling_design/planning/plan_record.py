@@ -375,8 +375,10 @@ def limit_of(problem: PlanProblem, cost: float) -> float:
     """The cost above which a choice is not a rival: that of the plan, or beyond every price if limits rule."""
     if problem.requirement.aim == "cheapest":
         return cost
-    whole = float(problem.allowed.sum(axis=0) @ problem.price + problem.allowed.any(axis=1).sum() * (problem.visit + 1))
-    return min(problem.most_cost, whole) if not problem.counts else whole
+    steps = float(problem.allowed.any(axis=1).sum())
+    if problem.counts:
+        return steps
+    return min(problem.most_cost, float(problem.allowed.sum(axis=0) @ problem.price) + steps * problem.visit)
 
 
 def deviation_of(problem: PlanProblem, chosen: Mask) -> StandardDeviation | None:

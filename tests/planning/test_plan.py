@@ -128,6 +128,33 @@ def test_a_poor_sample_that_need_not_be_taken_refuses_no_accuracy_after_samples(
         sd.plan_samples(level, worse, **BARE)
 
 
+@pytest.mark.parametrize("unit", [1e-11, 1e-5, 1e9])
+def test_the_unit_of_prices_changes_no_plan_and_no_bound(unit):
+    """Also where a relaxation leaves it open that there is a sample at all, after which something is wanted."""
+    A = [[-0.6, 3.0, 0.56], [-4.9, -1.2, -0.58], [1.9, 0.45, -0.46]]
+    C = [[0.5, -0.68, -1.07], [-0.037, 0.39, 0.67], [-0.4, -0.41, -0.93]]
+    G = [[1.5, 0.39, -0.09], [-0.63, 1.97, -0.17], [0.38, -0.72, 0.92]]
+    early = [[0.0, 0.1], [0.5, 1.0]]
+    sensors = {
+        "y1": {"noise_bound": 0.23, "price": 2.99 * unit, "available": early},
+        "y2": {"noise_bound": 0.19, "price": unit, "available": early},
+        "y3": {"noise_bound": 0.17, "price": 5.01 * unit, "longest_use": 2, "available": [[0.0, 0.1]]},
+    }
+    wanted = sd.PlanRequirement(
+        {"x3": {"tolerance": 0.37, "at": "after each sample"}}, period=2.4, grid=0.8, aim="most accurate", samples=3,
+        w_bound=[0.16, 0.043, 0.12], sensors=sensors,
+    )  # fmt: skip
+    plan = sd.plan_samples(sd.Plant(A, C, G=G), wanted, **BARE)
+    for sensor in sensors.values():
+        sensor["price"] /= unit
+    same = sd.plan_samples(sd.Plant(A, C, G=G), wanted.replace(sensors=sensors), **BARE)
+    assert plan.verify()
+    assert np.array_equal(plan.schedule.times, same.schedule.times)
+    assert np.array_equal(plan.schedule.outputs, same.schedule.outputs)
+    assert plan.cost == pytest.approx(same.cost * unit)
+    assert plan.bound.ratio.level == pytest.approx(same.bound.ratio.level, rel=1e-3)
+
+
 def test_sensors_that_may_never_be_used_are_refused():
     unused = {"y": {"noise_bound": 0.2, "longest_use": 0}}
     with pytest.raises(InfeasibleRequirementError, match="see `hours`, `available` and `longest_use`"):

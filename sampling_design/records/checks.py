@@ -23,8 +23,6 @@ from sampling_design.records.arrays import Array, Mask
 
 Instance = TypeVar("Instance")
 Seed: TypeAlias = np.random.Generator | int | None
-
-LARGEST = 1e300  # size of a matrix's entry up to which sums and products of a few are doubles
 """What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
 _OTHERS = {
     "rng seed": "seed random_state random_seed generator",
@@ -192,7 +190,7 @@ def of_kind(name: str, value: object, kind: type[Instance], expected: str = "") 
 def matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Array:
     """Return `value` as a frozen real matrix, `rows` by `columns` where these are given.
 
-    Raises ArgumentError if the shape differs, if an entry exceeds `LARGEST`, or as in `real_array`.
+    Raises ArgumentError if the shape differs, or as in `real_array`.
     """
     array = real_array(name, value, 2)
     wanted = array.shape[0] if rows is None else rows, array.shape[1] if columns is None else columns
@@ -200,9 +198,6 @@ def matrix(name: str, value: object, rows: int | None = None, columns: int | Non
     if array.shape != wanted:
         slip = " Did you pass the transpose?" if array.shape == turned[::-1] else ""
         raise ArgumentError(f"`{name}` must have shape {turned if slip else wanted}, got {array.shape}.{slip}")
-    largest = np.max(np.abs(array), initial=0.0)
-    if largest > LARGEST:
-        raise ArgumentError(f"`{name}` must have entries of at most {LARGEST:g}, got {largest:.3g}.")
     return array
 
 

@@ -24,7 +24,7 @@ def growing(rate, size=1.0):
         (OSCILLATOR, {"samples": 10**9, "spacing": 1e-10}, "`samples` 1e\\+09 .*memory, more than the 4 GB"),
         (OSCILLATOR, {"period": 4e-8, "spacing": 1e-8}, "a window that holds 3e\\+08 samples would take"),
         (growing(1.0), {"window": 800.0}, "grows or decays by e\\^800 over it, .* Give a window of 80 or less"),
-        (growing(0.0, 1e200), {}, "`C` has an entry of size 1e\\+200, whose square is no number"),
+        (growing(0.0, 1e308), {}, "`C` has an entry of size 1e\\+308, whose square is no number"),
         (growing(0.0, 1e-308), {}, "`C` has an entry of size 1e-308, whose square is no number"),
     ],
 )

@@ -257,7 +257,7 @@ def default_window(split: ModalSplit) -> float | None:
     """
     rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
     rates = rates[rates > 0]
-    norm = float(np.linalg.norm(split.retained.scaled().A, 2)) if split.retained.n_states else 0.0
     if rates.size:
         return float(2 * np.pi / rates.min())
+    norm = float(np.linalg.norm(split.retained.scaled().A, 2)) if split.retained.n_states else 0.0
     return 4 / norm if norm else None

@@ -385,12 +385,13 @@ def _planned(plan: PlanFigures, sequence: SampleSequence, k: int) -> int | None:
 
 def _noisier(sample: MeasurementModel, v_bound: Array, noise: Array) -> MeasurementModel:
     """A sample of the plan with so much more noise (p,): itself where that is the plan's."""
-    if not noise.any():
-        return sample
     bound = (v_bound + noise)[sample.outputs]
-    size = np.maximum(bound, sample.size)
+    size = np.where(sample.exact, np.maximum(bound, sample.size), bound)
+    own = np.where(sample.exact, np.minimum(bound / sample.size, 1.0), 1.0)
+    if np.array_equal(size, sample.size) and np.array_equal(own, sample.noise):
+        return sample
     share = sample.size / size
-    return replace(sample, size=size, H=sample.H * share[:, None], noise=bound / size, K=sample.K / share)
+    return replace(sample, size=size, H=sample.H * share[:, None], noise=own, K=sample.K / share)
 
 
 def _fresh(plan: PlanFigures, P: Array, measured: Mask, noise: Array) -> tuple[Array, MeasurementModel]:

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.sampled_system import MeasurementModel
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.sequence import forgets, looks_back, proven_ratio, settles
 from sampling_design.planning.sequence_deviation import SampleSequence, phase_of, planned
-from sampling_design.planning.sequence_system import plan_system, sequence_system
+from sampling_design.planning.sequence_system import _noisier, plan_system, sequence_system
 from tests.oracles import planning as oracle
 
 
@@ -115,3 +116,13 @@ def test_a_sequence_that_does_not_end_with_the_plan_for_long_enough_proves_nothi
     moved = sequence.times.copy()
     moved[-3] += week.problem.step
     assert proven_ratio(week, SampleSequence(moved, sequence.measured, sequence.first)) == np.inf
+
+
+@pytest.mark.parametrize("more", [0.0, 1e-10, 1e-3, 0.5])
+def test_noise_that_joins_counts_in_full_however_exact_its_sensor_is(more):
+    nearly, plain = (np.array([1e-7, 0.2]), np.array([1e-3, 1.0])), np.array([1e-10, 0.2])
+    sample = MeasurementModel(np.arange(2), nearly[0], np.eye(2) / nearly[0][:, None], nearly[1], np.eye(2))
+    found = _noisier(sample, plain, np.full(2, more))
+    np.testing.assert_allclose(found.size * found.noise, plain + more, rtol=1e-12)
+    np.testing.assert_allclose(found.size[:, None] * found.H, np.eye(2), rtol=1e-12)
+    assert (found is sample) == (more == 0)

@@ -228,7 +228,8 @@ class CoveringRows:
         if np.isfinite(problem.most_samples):
             rows.append((np.arange(self.at.size), -np.ones(self.at.size), -problem.most_samples))
         if np.isfinite(problem.most_cost):
-            rows.append((np.arange(self.columns), -self.cost, -problem.most_cost))
+            unit = problem.most_cost or float(self.cost.max())  # a solver's tolerances are absolute
+            rows.append((np.arange(self.columns), -self.cost / unit, -problem.most_cost / unit))
         if self.fixed:
             rows.append((np.array([0]), np.ones(1), 1.0))
         else:  # a plan has a sample, even where no trajectory asks for one

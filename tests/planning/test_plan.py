@@ -155,6 +155,21 @@ def test_the_unit_of_prices_changes_no_plan_and_no_bound(unit):
     assert plan.bound.ratio.level == pytest.approx(same.bound.ratio.level, rel=1e-3)
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e7])
+def test_the_cheapest_plan_is_no_dearer_in_any_unit_of_prices(unit):
+    """Of plans of its cost the most accurate one is sought: a limit that a solver's tolerance exceeds is none."""
+    level = sd.Plant([[0.0]], [[1.0], [1.0]], states=["level"], outputs=["fine", "rough"])
+
+    def planned(unit):
+        sensors = {"fine": {"noise_bound": 0.1, "price": 3 * unit}, "rough": {"noise_bound": 0.2, "price": unit}}
+        wanted = sd.PlanRequirement({"level": 0.8}, period=4.0, grid=1.0, w_bound=0.1, sensors=sensors)
+        return sd.plan_samples(level, wanted, **BARE)
+
+    plain, other = planned(1.0), planned(unit)
+    assert other.cost == pytest.approx(plain.cost * unit)
+    assert other.ratio == pytest.approx(plain.ratio)
+
+
 def test_sensors_that_may_never_be_used_are_refused():
     unused = {"y": {"noise_bound": 0.2, "longest_use": 0}}
     with pytest.raises(InfeasibleRequirementError, match="see `hours`, `available` and `longest_use`"):

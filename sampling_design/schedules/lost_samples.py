@@ -15,7 +15,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import Seed
 from sampling_design.schedules import family
 from sampling_design.schedules.family import AnySchedule, FamilyStep, Leeway, NominalFamily, Steps, Word, period_of
-from sampling_design.schedules.jitter import nominal_part, same_outputs
+from sampling_design.schedules.jitter import begun_late, nominal_part, same_outputs
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -191,9 +191,8 @@ class LostSamples(NominalFamily, kind="lost-samples"):
                 on = np.array(kept)
                 if not on.any() or not self._borne_around(~on):
                     continue
-                yield PeriodicSchedule.from_times(
-                    times[on], repeats * nominal.period, None if mask is None else mask[on], time_unit=nominal.time_unit
-                )
+                kept_mask = None if mask is None else mask[on]
+                yield begun_late(times[on], kept_mask, repeats * nominal.period, time_unit=nominal.time_unit)
 
     def variation(self, start: PeriodicSchedule) -> None:
         """Patterns of losses do not vary continuously."""

@@ -1,4 +1,4 @@
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 import pytest
@@ -30,6 +30,9 @@ FAMILIES = [
     LostSamples(PeriodicSchedule([0.1]), 2, 5),
     LostSamples(PeriodicSchedule([1.0, 2.0], outputs=[[1, 0], [0, 1]]), 1, 2),
     LostSamples(Schedule([0.5, 1.0, 3.0, 4.0]), 1, 3),
+    LostSamples(PeriodicSchedule([1.0, 0.5], 1.5, [[1, 0], [0, 1]]), 1, 3),  # first as late as it can be
+    Jitter(PeriodicSchedule([1.0, 0.5], 1.5), 0.2),
+    OutputJitter(PeriodicSchedule([1.0, 0.5], 1.5, [[1, 0], [0, 1]]), [0.2, 0.1], [0.0, 0.2]),
 ]
 IDS = [f"{type(f).__name__}{i}" for i, f in enumerate(FAMILIES)]
 
@@ -45,6 +48,8 @@ def test_every_family_keeps_the_protocol(family):
         K = SamplingSet(schedule)
         assert K.min_gap >= family.min_gap * (1 - 1e-12)
         assert K.d_max <= family.d_max * (1 + 1e-12)
+    if family.nominal.endless:
+        assert all(family.contains(suspect) for suspect in islice(family.suspects([1.3, 2.9], rng), 200))
     assert family.explain()
     assert str(family)
 

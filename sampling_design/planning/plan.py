@@ -112,7 +112,10 @@ def plan_samples(
     ArgumentError
         If a name is unknown, a bound is missing, or times do not fit.
     InfeasibleRequirementError
-        If not even measuring at every allowed time keeps the tolerances; names the nearest ones that can be kept.
+        If not even measuring at every allowed time keeps the tolerances, or no choice within spacings, uses and limits
+        does; names the nearest ones that can be kept.
+    UndecidedError
+        If no choice that shows all that is asked for is found, or none is proven to keep the tolerances.
 
     Notes
     -----
@@ -194,8 +197,8 @@ class _Planning:
         self.discrete = discretize(problem)
         self.oracle = AccuracyOracle(problem, self.discrete, whole)
         self.search = PlanSearch(problem, self.oracle, self.progress)
-        self.kept = False
-        """Whether the densest choice was judged to keep every tolerance."""
+        self.kept: list[Mask] = []
+        """The densest choice, if it was judged to keep every tolerance."""
         self.least: CostProof | None = None
         """The bound on the cost, once it is proven."""
         self.feasible = FeasibleChoices(problem, self.oracle.work, self._proven)
@@ -229,10 +232,8 @@ class _Planning:
 
     def _lifted(self, run: _Planning, best: list[Mask]) -> list[Mask]:
         """What a search on a coarser grid holds, the best first, and all of its times if they do, on this one."""
-        feasible = [chosen for chosen, _ in run.search.incumbents[::-1]] + [
-            proven_choice.densest(run.problem)
-        ] * run.kept
-        return proven_choice.lifted_choices(self.problem, best + feasible)
+        feasible = [chosen for chosen, _ in run.search.incumbents[::-1]]
+        return proven_choice.lifted_choices(self.problem, best + feasible + run.kept)
 
     def sought(self) -> ProvenChoice:
         """The best choice that the search for the requirement's aim comes to, by proof."""
@@ -248,13 +249,13 @@ class _Planning:
         self._require_detectable()
         worst, trajectories = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(trajectories, 0.0 if self.oracle.few else 1.0)
-        everything = proven_choice.densest(self.problem)
+        everything = self._detecting(proven_choice.densest(self.problem))
         if worst > 1:
-            proven_choice.refuse_what_none_keeps(self.oracle, everything, 1 + 4 * MARGIN)
+            proven_choice.refuse_what_none_keeps(self.oracle, self.feasible, everything, 1 + 4 * MARGIN)
         worst, trajectories = self.oracle.judge(everything, longest=True)
         search.add(trajectories, 1.0)
-        self.kept = worst <= 1
-        if self.kept:
+        if worst <= 1:
+            self.kept = [everything]
             self.progress.found(everything, worst)
         search.seed(1.0)
         search.starts = self.started()
@@ -331,7 +332,8 @@ class _Planning:
         work.stop()
         if self.problem.requirement.aim == "cheapest":
             try:
-                best = self.feasible.cheapest([chosen for chosen, _ in incumbents], proven_choice.densest(self.problem))
+                everything = (self.kept or [proven_choice.densest(self.problem)])[0]
+                best = self.feasible.cheapest([chosen for chosen, _ in incumbents], everything)
             except UndecidedError:  # the densest one was judged too well, and nothing else is feasible
                 raise KeyboardInterrupt from None
         else:
@@ -349,31 +351,33 @@ class _Planning:
         )
 
     def _nearest(self, best: ProvenChoice) -> Plan:
-        """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
+        """Where spacings, uses and limits leave nothing that keeps the tolerances: the least ratio that they do allow.
 
-        Raises InfeasibleRequirementError if that is above 1, and its proof was not cut: it is what can be kept.
+        Raises InfeasibleRequirementError if that is above 1, it is what can be kept, and nothing else was left open.
         """
         if best.cut:
             return self._record(best, PlanBound((), None, None), False)
-        rival = self._better(best, self.problem.cost(best.chosen))
+        rival = self._better(best, np.inf)
         best = self.feasible.sharpest(rival.incumbents, best)
         best.require_bounded()
-        if best.worst > 1:
-            text, what = "No plan with these spacings and uses was found that keeps the tolerances", "spacing"
+        if best.worst > 1 and self.search.out_of_reach:
+            text, what = "No plan with these spacings, uses and limits was found that keeps the tolerances", "spacing"
             if self.problem.unspaced:
                 text, what = "The tolerances are too close to the least that can be kept for a proof", "accuracy"
             near = {g.name: g.tolerance * best.worst * (1 + 4 * MARGIN) for g in self.problem.goals}
             kept = ", ".join(
                 f"{g.name} {above(near[g.name])} instead of {short(g.tolerance)}" for g in self.problem.goals
             )
-            slip = "" if self.problem.unspaced else " Ask for that, or for smaller spacings or a larger `longest_use`."
+            slip = " Ask for that, or for smaller spacings, a larger `longest_use` or higher limits."
+            slip = "" if self.problem.unspaced else slip
             raise InfeasibleRequirementError(f"{text}: {kept} can be kept.{slip}", what, near)
         return self._record(best, PlanBound((), None, None))
 
     def _better(self, best: ProvenChoice, cost: float) -> PlanSearch:
         """Of all plans of a cost, a search for the most accurate one; the trajectories found join the pool."""
         problem = self.problem
-        limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
+        limit = "most_samples" if problem.counts else "most_cost"
+        limited = replace(problem, **{limit: min(cost, getattr(problem, limit))})
         search = PlanSearch(limited, self.oracle, self.progress)
         search.pool, search.undetected_at = self.search.pool, self.search.undetected_at
         search.keep(best.chosen, best.worst)
@@ -449,13 +453,18 @@ class _Planning:
     def _detecting(self, chosen: Mask) -> Mask:
         """The choice, or one within the limits that hides no trajectory that never decays.
 
-        Raises InfeasibleRequirementError if the limits leave none.
+        Raises InfeasibleRequirementError if the limits leave none, UndecidedError if that is not found out.
         """
         search = self.search
         while (undetected := self.oracle.hidden(chosen)) is not None:
             search.require_detection(undetected, 0.0)
             model = search.covering.model([], [], 0.0, search.undetected_at)
-            other, _ = cheapest(search.covering, model, np.zeros(model.c.size), self.oracle.work)
+            other, none = cheapest(search.covering, model, np.zeros(model.c.size), self.oracle.work)
+            if other is None and not none:
+                raise UndecidedError(
+                    "undecided: no choice within the limits was found that shows all that `accuracy` asks for. Give "
+                    "more `search_seconds`, or allow more samples or other hours."
+                )
             if other is None:
                 raise InfeasibleRequirementError(
                     "No choice within the limits shows all that `accuracy` asks for: a trajectory that "

@@ -119,8 +119,7 @@ class PlanProblem:
     @property
     def unspaced(self) -> bool:
         """Whether all that is allowed may be measured in one period."""
-        free = max(self.spacing, int(self.sensor_spacing.max(initial=1))) <= 1
-        return free and bool(np.all(self.longest_use >= self.allowed.sum(axis=0)))
+        return self.is_admissible(self.allowed)
 
     @property
     def is_free(self) -> bool:

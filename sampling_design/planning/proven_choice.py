@@ -238,14 +238,14 @@ class FeasibleChoices:
 
 
 def densest(problem: PlanProblem) -> Mask:
-    """As much as hours and spacing allow, from the first allowed time on."""
+    """As much as hours and spacings allow, from the first allowed time on; what is within the limits, evenly."""
     chosen = np.zeros(problem.allowed.shape, dtype=bool)
     for i in np.flatnonzero(problem.allowed.any(axis=1)).tolist():
         for j in np.flatnonzero(problem.allowed[i]).tolist():
             chosen[i, j] = True
             if not without_limits(problem).is_admissible(chosen):
                 chosen[i, j] = False
-    return chosen
+    return chosen if problem.is_admissible(chosen) else sparse(problem)
 
 
 def sparse(problem: PlanProblem) -> Mask:
@@ -315,8 +315,8 @@ def plan_of(problem: PlanProblem, chosen: Mask, proof: GoalProofs, bound: PlanBo
     return Plan(plant, requirement, schedule, proof[0], mine, bound, status=status, deviation=proof[1])
 
 
-def refuse_what_none_keeps(oracle: AccuracyOracle, everything: Mask, room: float) -> None:
-    """Refuse tolerances that not even all that is allowed keeps; what the densest choice does, with some room, can be.
+def refuse_what_none_keeps(oracle: AccuracyOracle, feasible: FeasibleChoices, everything: Mask, room: float) -> None:
+    """Refuse tolerances that not even all that is allowed keeps; what the densest choice is proven to do can be kept.
 
     After a sample the one that sees most leaves least unknown, and none need be taken that sees less.
 
@@ -333,11 +333,13 @@ def refuse_what_none_keeps(oracle: AccuracyOracle, everything: Mask, room: float
         if r > 1
     )
     text, near = f"Not even measuring at every allowed time keeps the tolerances: at best {kept} could be kept.", {}
-    if oracle.hidden(everything) is None:
-        dense = [max(1.0, float(x.max(initial=0.0)) * room) for x in _ratios(oracle, everything)]
-        near = {g.name: g.tolerance * r for g, r in zip(goals, dense, strict=True)}
+    dense = feasible.proven(everything)
+    if np.isfinite(dense.worst):
+        near = {g.name: g.tolerance * max(1.0, r * room) for g, r in zip(goals, dense.ratios.tolist(), strict=True)}
         if not problem.unspaced:
-            text += f" With these spacings and uses {', '.join(f'{k} {above(x)}' for k, x in near.items())} can be."
+            text += (
+                f" With these spacings, uses and limits {', '.join(f'{k} {above(x)}' for k, x in near.items())} can be."
+            )
     raise InfeasibleRequirementError(text, "accuracy", near)
 
 

@@ -403,7 +403,7 @@ class PlanSearch:
             chosen, none = self._one_by_one(level, best) or self._candidate(keys, level, best)
             if chosen is None or self.problem.cost(chosen) >= best * (1 - 1e-9):
                 self.complete = best < np.inf and (none or chosen is not None)
-                self.out_of_reach = level if none and best == np.inf else 0.0
+                self.out_of_reach = max(self.out_of_reach, level if none and best == np.inf else 0.0)
                 return
             if self.late and self.chosen is not None:  # cut short: what a longer search would never look at
                 return

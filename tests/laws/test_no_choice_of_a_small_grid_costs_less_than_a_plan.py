@@ -50,32 +50,38 @@ def deviations(A, C, intensity, step, choices):
     return np.sqrt(worst)
 
 
-@pytest.mark.parametrize("seed", few(range(24), 21))
-def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
+def deviation_case(seed):
+    """A generator, a plant, what is asked but tolerances, all choices, their costs and what each leaves unknown."""
     rng = np.random.default_rng(seed)
     A, C = rng.standard_normal((2, 2)) * 0.7, rng.standard_normal((2, 2))
     A -= max(0.0, float(np.linalg.eigvals(A).real.max()) - 0.1) * np.eye(2)
     step, intensity, visit = rng.uniform(0.4, 1.2), rng.uniform(0.02, 0.1) ** 2, float(rng.integers(0, 3))
     price = rng.choice([1.0, 2.0, 3.0], size=2)
     choices = every_choice()
-    reached = deviations(A, C, intensity, step, choices)
     costs = choices.any(axis=2).sum(axis=1) * visit + choices.sum(axis=1) @ price
+    given = {
+        "period": STEPS * step,
+        "grid": step,
+        "w_intensity": intensity,
+        "visit_price": visit,
+        "sensors": {f"y{j + 1}": {"noise_deviation": NOISE, "price": float(c)} for j, c in enumerate(price)},
+    }
+    return rng, sd.Plant(A, C), given, choices, costs, deviations(A, C, intensity, step, choices)
+
+
+def planned(plant, tolerances, given):
+    goals = {f"x{i + 1}": {"tolerance": float(e), "kind": "standard deviation"} for i, e in enumerate(tolerances)}
+    return sd.plan_samples(
+        plant, sd.PlanRequirement(goals, **given), certificate=False, robustness=False, from_start=False
+    )
+
+
+@pytest.mark.parametrize("seed", few(range(24), 21))
+def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
+    rng, plant, given, choices, costs, reached = deviation_case(seed)
     wanted = reached[rng.integers(len(choices))] * rng.uniform(1.03, 1.3)
     ratios = (reached / wanted).max(axis=1)
-    plan = sd.plan_samples(
-        sd.Plant(A, C),
-        sd.PlanRequirement(
-            {f"x{i + 1}": {"tolerance": float(e), "kind": "standard deviation"} for i, e in enumerate(wanted)},
-            period=STEPS * step,
-            grid=step,
-            w_intensity=intensity,
-            visit_price=visit,
-            sensors={f"y{j + 1}": {"noise_deviation": NOISE, "price": float(c)} for j, c in enumerate(price)},
-        ),
-        certificate=False,
-        robustness=False,
-        from_start=False,
-    )
+    plan = planned(plant, wanted, given)
     least, sure = costs[ratios <= 1 + ROUNDING].min(), costs[ratios <= 1 - BETWEEN].min()
     assert plan.bound.cost.value <= least <= plan.cost <= sure
     assert plan.bound.cost.value == least
@@ -86,6 +92,28 @@ def test_a_plan_costs_what_the_cheapest_of_all_choices_costs(seed):
     pool = HiddenTrajectories(STEPS, [problem.ends(g) for g in range(len(problem.goals))])
     prover = CostProver(covering, pool, Budget(counted=True), None, grid_filter)
     assert prover.least_cost(1.0, float(costs.max())).value == least  # as much as is true, where more is asked
+
+
+@pytest.mark.parametrize("seed", few(range(12), 10))
+@pytest.mark.parametrize("limit", ["samples", "cost_limit"])
+def test_a_limit_beside_the_least_cost_is_kept_or_no_choice_within_it_does(limit, seed):
+    rng, plant, given, choices, costs, reached = deviation_case(seed)
+    taken = choices.any(axis=2).sum(axis=1) if limit == "samples" else costs
+    most = float(np.quantile(taken, rng.uniform(0, 0.6), method="lower"))
+    within = taken <= most * (1 + ROUNDING)
+    given |= {"aim": "cheapest", limit: int(most) if limit == "samples" else most}
+    wanted = reached[within].min(axis=0) * rng.uniform(0.8, 1.4)  # of several choices, or of none
+    if (reached[within] / wanted).max(axis=1).min() > 1:
+        with pytest.raises(sd.errors.InfeasibleRequirementError) as refused:
+            planned(plant, wanted, given)
+        wanted = np.array([refused.value.nearest[goal] for goal in ("x1", "x2")])
+    ratios = (reached[within] / wanted).max(axis=1)
+    assert ratios.min() <= 1
+    plan = planned(plant, wanted, given)
+    assert plan.keeps
+    assert plan.verify()
+    assert (plan.samples if limit == "samples" else plan.cost) <= most * (1 + ROUNDING)
+    assert plan.cost <= costs[within][ratios <= 1 - BETWEEN].min(initial=np.inf)
 
 
 def guaranteed_case(seed):

@@ -101,7 +101,7 @@ def test_what_not_even_all_times_keep_is_refused_with_what_spacings_allow(kind):
         return sd.PlanRequirement({"position": {"tolerance": tolerance, "kind": kind}}, **given)
 
     with pytest.raises(
-        InfeasibleRequirementError, match=r"With these spacings and uses position \d.* can be"
+        InfeasibleRequirementError, match=r"With these spacings, uses and limits position \d.* can be"
     ) as refused:
         sd.plan_samples(OSCILLATOR, wanted(0.01), **BARE)
     assert sd.plan_samples(OSCILLATOR, wanted(refused.value.nearest["position"]), **BARE).keeps
@@ -178,10 +178,12 @@ def test_sensors_that_may_never_be_used_are_refused():
 
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
     spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "grid": 0.8})
-    with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:
+    with pytest.raises(
+        InfeasibleRequirementError, match="No plan with these spacings, uses and limits was found"
+    ) as refused:
         sd.plan_samples(OSCILLATOR, spaced, search_seconds=0.4, **BARE)
     near = refused.value.nearest["position"]
-    kept = f"position {above(near)} instead of 0.5 can be kept. Ask for that, or for smaller spacings or a larger"
+    kept = f"position {above(near)} instead of 0.5 can be kept. Ask for that, or for smaller spacings, a larger"
     assert kept in str(refused.value)
     # what it names can be kept; one look, almost once in a swing, only seems to keep it to who looks back a little
     found = sd.plan_samples(OSCILLATOR, spaced.replace(accuracy={"position": near}), **BARE)
@@ -301,6 +303,29 @@ def test_spacing_and_limits_are_kept():
     found = sd.plan_samples(OSCILLATOR, wanted, **BARE)
     assert len(found.schedule) <= 3
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9
+
+
+@pytest.mark.parametrize(
+    "limits", [{"spacing": 8.0}, {"samples": 1}, {"cost_limit": 3.0}, {"samples": 1, "visit_price": 5.0}]
+)
+@pytest.mark.parametrize("tolerance", [0.15, 0.25])  # which all times do not keep, and which they do
+def test_what_limits_leave_no_plan_for_is_refused_with_what_they_allow(tolerance, limits):
+    plant, sensors = sd.Plant([[0.0]], [[1.0]], states=["level"]), {"y1": {"noise_bound": 0.1, "price": 3.0}}
+    given = {"period": 8.0, "grid": 1.0, "w_bound": 0.1, "sensors": sensors, "aim": "cheapest", **limits}
+    with pytest.raises(InfeasibleRequirementError, match="these spacings, uses and limits") as refused:
+        sd.plan_samples(plant, sd.PlanRequirement({"level": tolerance}, **given), **BARE)
+    assert refused.value.nearest["level"] == pytest.approx(0.9, rel=0.02)  # noise, and what w does in a period
+    found = sd.plan_samples(plant, sd.PlanRequirement(refused.value.nearest, **given), **BARE)
+    assert found.keeps
+    assert found.samples == 1
+    assert found.verify()
+
+
+def test_no_time_to_look_for_a_plan_within_limits_is_no_proof_that_there_is_none():
+    spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "grid": 0.8})
+    found = sd.plan_samples(OSCILLATOR, spaced, search_seconds=0.01, **BARE)
+    assert not found.keeps
+    assert found.status == "budget"
 
 
 @pytest.mark.parametrize(("hours", "delay", "age"), [([4.0, 5.0], None, 8.0), ([2.0, 3.0], 2.0, 10.0)])

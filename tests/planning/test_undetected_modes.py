@@ -122,6 +122,12 @@ def test_limits_that_leave_only_blind_choices_are_refused():
         bare(wanted(aim="most accurate", samples=2))
 
 
+def test_a_choice_that_is_not_found_for_want_of_work_is_not_said_to_be_none(monkeypatch):
+    monkeypatch.setattr(room, "cheapest", lambda *_: (None, False))
+    with pytest.raises(UndecidedError, match="undecided: no choice within the limits was found that shows all"):
+        bare(wanted(aim="most accurate", samples=2))
+
+
 @pytest.mark.long
 def test_a_search_that_judged_too_well_is_mended_or_says_so(monkeypatch):
     before = room._Planning._proven

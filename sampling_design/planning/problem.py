@@ -234,7 +234,8 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     says = np.zeros(len(terms), dtype=bool)
     for stochastic, size in ((False, bound), (True, deviation)):
         says |= np.isfinite(size) & any(goal.stochastic == stochastic for goal in goals)
-    if not (allowed & says).any():
+    allowed &= says
+    if not allowed.any():
         raise InfeasibleRequirementError(
             "No sensor that may be measured has a `noise_bound` or `noise_deviation` that its readings are sure to "
             "keep: they say nothing.",
@@ -245,8 +246,8 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         requirement=requirement,
         goals=goals,
         step=step,
-        allowed=allowed & says,
-        price=np.array([t.price for t in terms]),
+        allowed=allowed,
+        price=np.array([t.price for t in terms]) * allowed.any(axis=0),  # nobody pays for what is never read
         visit=requirement.visit_price,
         spacing=max(1, spacing, int(late.span / step + WHOLE) + 1 if late else 1),
         sensor_spacing=np.array(in_step, dtype=np.intp),

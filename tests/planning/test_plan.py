@@ -328,6 +328,15 @@ def test_no_time_to_look_for_a_plan_within_limits_is_no_proof_that_there_is_none
     assert found.status == "budget"
 
 
+def test_prices_of_what_is_never_read_decide_nothing():
+    plant = sd.Plant([[0.0]], [[1.0], [1.0]], states=["level"])
+    sensors = {"y1": {"noise_bound": 0.1}, "y2": {"noise_bound": 0.1, "price": 2.0, "longest_use": 0}}
+    wanted = sd.PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors=sensors)
+    found = sd.plan_samples(plant, wanted, **BARE)
+    assert found.samples == found.cost == found.bound.cost.value == 2
+    assert found.verify()
+
+
 @pytest.mark.parametrize(("hours", "delay", "age"), [([4.0, 5.0], None, 8.0), ([2.0, 3.0], 2.0, 10.0)])
 def test_a_sample_or_a_result_at_a_given_time_does_not_count_there_yet(hours, delay, age):
     plant, goal = sd.Plant([[0.0]], [[1.0]], states=["level"]), {"tolerance": 2.0, "at": [4.0]}

@@ -12,8 +12,8 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, strong
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, carried, correlation_root, covariance_root
-from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
+from sampling_design.numerics.filtering import CovarianceMap, carried, correlation_root, covariance_root, noise_roots
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, symmetrise
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
@@ -202,42 +202,39 @@ class _DeviationCurves:
         system, directions = question.filter_bounds(plant, moving)
         self.D, self.A, self._L, self._directions, self._r = system.D, system.A, system.L, directions, system.determined
         G = plant.G / self.D[:, None]
-        self._noise = symmetrise(G @ W @ G.T)
+        self._driven, self._noise = G @ correlation_root(W), symmetrise(G @ W @ G.T)
         self._exact = [s.noise == 0 for s in system.samples]  # their size is for coordinates alone
         sizes = [s.size * np.where(own, 1.0, s.noise) for s, own in zip(system.samples, self._exact, strict=True)]
         rows = [plant.C[s.outputs] * self.D / size[:, None] for s, size in zip(system.samples, sizes, strict=True)]
         self._roots = self._endless(rows) if question.initial is None else self._finite(rows)
 
-    def _flows(self, lengths: Array) -> list[tuple[Array, Array]]:
-        return list(zip(*discounted_flow(self.A, self._noise, lengths), strict=True))
-
     def _endless(self, rows: list[Array]) -> list[Array]:
         lengths = self.question.gaps
         n, r, count = len(self.A), self._r, len(lengths)
         bases = [np.eye(n)] * count if r == n else list(self._L)  # the last n - r entries nobody knows, or needs
-        maps = []
-        for j, ((F, W), H) in enumerate(zip(self._flows(lengths), rows, strict=True)):
-            L, following = bases[j], bases[(j + 1) % count]
-            step, noise = np.linalg.solve(following, F @ L), np.linalg.solve(following, W)
-            noise = np.linalg.solve(following, noise.T)
-            maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
+        flows, roots = expm_batch(self.A, lengths), noise_roots(self.A, self._driven, lengths)
+        F, noise = list[Array](), list[Array]()
+        for L, ahead, flow, root in zip(bases, [*bases[1:], bases[0]], flows, roots, strict=True):
+            F.append(np.linalg.solve(ahead, flow @ L)[:r, :r])
+            noise.append(np.linalg.solve(ahead, root)[:r])
         outputs = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
-        rooted = RootedPeriod([m.F for m in maps], outputs, [covariance_root(m.Q) for m in maps])
+        maps = [CovarianceMap(f, H.T @ H, N @ N.T) for f, H, N in zip(F, outputs, noise, strict=True)]
+        rooted = RootedPeriod(F, outputs, noise)
         try:
-            root = psd_root(strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK))
-            followed = rooted.gives_back(root)
+            limit = covariance_root(strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK))
+            followed = rooted.gives_back(limit)
         except np.linalg.LinAlgError:  # as where accuracies are doubled
             followed = False
-        roots = rooted(root)[0] if followed else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
+        after = rooted.settled(limit if followed else np.eye(r) * np.sqrt(DIFFUSE))
         if any(own.any() for own in self._exact):
-            root = carried(roots[-1], rooted.F[-1], rooted.noise[-1])
-            roots = rooted.exactly(root, self._exact, ROUNDED, r + 1)  # each but the last shows a direction more
-        return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
+            root = carried(after[-1], rooted.F[-1], rooted.noise[-1])
+            after = rooted.exactly(root, self._exact, ROUNDED, r + 1)  # each but the last shows a direction more
+        return [L[:, :r] @ root for L, root in zip(bases, after, strict=True)]
 
     def _finite(self, rows: list[Array]) -> list[Array]:
         n = len(self.A)
-        flows = self._flows(np.diff(self.question.nodes)) if self.question.nodes.size > 1 else []
-        F, noise = [F for F, _ in flows], [covariance_root(W) for _, W in flows]
+        gaps = np.diff(self.question.nodes)
+        F, noise = expm_batch(self.A, gaps), noise_roots(self.A, self._driven, gaps)
         path = RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])
 
         def begun(size: float) -> list[Array]:

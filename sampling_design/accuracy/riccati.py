@@ -38,7 +38,7 @@ REPRODUCED = 1e-5
 small random walk leaves of trajectories that neither grow nor decay and that no noise reaches."""
 
 STEADY = 1e-9
-"""Relative change over a period at which roots have settled; after `MOST_PERIODS` what is left is no more than this."""
+"""Relative change over a period at which roots have settled."""
 
 FADED = 1e-4
 """Share of a start that changes of a deviation are judged beside at least: what decays and no noise reaches has no size
@@ -150,12 +150,18 @@ class RootedPeriod:
 
         Raises UndecidedError if they do not settle in doubles.
         """
-        least = FADED * np.linalg.norm(root, axis=1)
+        after, end, _ = self(root)
+        last = [root, *after]
+        least, change, root = [FADED * np.linalg.norm(each, axis=1) for each in last], np.inf, end
         for _ in range(MOST_PERIODS):
-            before = root
-            after, root, _ = self(before)
-            if _differ(root, before, least) <= STEADY:
+            after, root, _ = self(root)
+            now = [root, *after]  # what a gap hides behind what grows shows after samples
+            change = max(_differ(*each) for each in zip(now, last, least, strict=True))
+            if change <= STEADY:
                 return after
+            last = now
+        if change <= REPRODUCED:  # of growth that leaves no more digits, or of a random walk
+            return after
         raise UndecidedError(
             "undecided: the covariance of the filter on this schedule does not settle in doubles. Do modes grow far "
             f"between two samples, or do outputs differ in almost nothing? {OTHER_STATES}"

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import lapack
 
-from sampling_design.numerics.linalg import symmetrise
+from sampling_design.numerics.linalg import SHORT, expm_batch, symmetrise
 from sampling_design.records.arrays import Array
 
 EPS = float(np.finfo(float).eps)
@@ -180,18 +180,41 @@ def inverse_of_unit_rows(root: Array) -> Array:
 
 
 def carried(root: Array, F: Array, noise: Array) -> Array:
-    """Return a root (n, n) of F Y F' + W over a gap, from roots of Y and W."""
-    return triangle(np.hstack([F @ root, noise]))
+    """Return a root (..., n, n) of F Y F' + W over a gap, from roots of Y and W."""
+    return triangle(np.concatenate([F @ root, noise], axis=-1))
 
 
 def triangle(root: Array) -> Array:
     """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
-    return np.asarray(np.linalg.qr(largest_first(root).T, mode="r"), dtype=np.float64).T
+    return np.asarray(np.linalg.qr(largest_first(root).swapaxes(-1, -2), mode="r")).swapaxes(-1, -2)
 
 
 def largest_first(root: Array) -> Array:
     """The same root, its columns in order of size: what is factorised so keeps the digits of the small ones."""
-    return np.asarray(root[:, np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")])
+    order = np.argsort(-np.abs(root).max(axis=-2, initial=0.0), axis=-1, kind="stable")
+    return np.take_along_axis(root, order[..., None, :], axis=-1)
+
+
+def noise_roots(A: Array, N: Array, gaps: Array) -> Array:
+    """Return roots (gaps, n, n) of W_h = int_0^h e^{As} N N' e^{A's} ds; N (n, q).
+
+    Notes
+    -----
+    *Method.* Gauss' quadrature over h/2^s, columns side by side, then doubling. *Numerical aspects.* Over a gap that
+    grows by e^k, W_h itself holds what does not grow to e^2k eps, a root to e^k eps.
+    """
+    n, (h, place) = len(A), np.unique(gaps, return_inverse=True)
+    doublings = np.maximum(np.ceil(np.log2(np.maximum(h * np.linalg.norm(A, 1) / SHORT, 1e-300))), 0).astype(int)
+    step = np.ldexp(h, -doublings)
+    points, weights = np.polynomial.legendre.leggauss(n + 4)
+    columns = expm_batch(A, np.outer(step, (1 + points) / 2).ravel()).reshape(h.size, -1, n, n) @ N
+    columns *= np.sqrt(np.outer(step, weights) / 2)[:, :, None, None]
+    roots = triangle(np.concatenate([*columns.swapaxes(0, 1), np.zeros((h.size, n, n))], axis=-1))
+    F = expm_batch(A, step)
+    for s in range(int(doublings.max(initial=0))):
+        todo = doublings > s
+        roots[todo], F[todo] = carried(roots[todo], F[todo], roots[todo]), F[todo] @ F[todo]
+    return np.asarray(roots[place])
 
 
 def information_update(P: Array, G: Array) -> Array:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design.numerics.filtering import covariance_root, propagate
+from sampling_design.numerics.filtering import EPS, carried, covariance_root, noise_roots, propagate, triangle
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
@@ -32,6 +32,7 @@ TANGENT_PERIODS = 40  # the same for a tangent, whose steps are kept
 BEYOND = 1e120  # a covariance that is larger is as good as infinite
 ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more periods are followed
 BEYOND_LEVEL = 1e-6  # share by which a variance is above a level at least where that counts as proven: rounding
+ROUNDED = 100  # of a variance, this many times eps and growth since the sample before may be rounding
 PARTS = 4  # of a step, at whose ends what a gap leaves unknown is looked at
 ENTRIES = 4_000_000  # numbers that are looked at together, about
 NOT_DRIVEN = 1e-12  # share of its size up to which what noise drives by itself counts as rounding
@@ -63,20 +64,16 @@ class GridFilter:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
         n, (B, M, _), read = self.discrete.n, chosen.shape, np.any(chosen, axis=(0, 2)).tolist()
         P, lost, periods = self._from_sample_to_sample(chosen)
-        P, noise = np.sqrt(P) if self.grows else P, np.broadcast_to(covariance_root(self.Q), (B, n, n))
+        P, one = np.sqrt(P) if self.grows else P, np.ones(B, dtype=int)
         before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
         last = np.full((B, len(self.rows)), np.inf)
         for _ in range(periods, PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
             for i in range(M):
-                P = (
-                    _triangles(np.concatenate([self.F @ P, noise], axis=2))
-                    if self.grows
-                    else propagate(P, self.F, self.Q)
-                )
+                P = self.after(P, one)
                 before[i] = self._variance(P)
                 if read[i]:
-                    P = self._rooted(P, chosen[:, i]) if self.grows else self.measured(P, chosen[:, i])
+                    P = self.measured(P, chosen[:, i])
                 after[i] = self._variance(P) if read[i] else before[i]
                 far = np.abs(P).max(axis=(1, 2)) > (np.sqrt(BEYOND) if self.grows else BEYOND)
                 if far.any():
@@ -94,12 +91,6 @@ class GridFilter:
         if self.grows:
             return np.asarray(np.sum((self.rows @ P) ** 2, axis=2))
         return np.asarray(np.einsum("gi,bij,gj->bg", self.rows, P, self.rows))
-
-    def _rooted(self, root: Array, read: Mask) -> Array:
-        """Roots (B, n, n) of covariances after samples that `read` (B, p): what was large before takes no digit."""
-        for j in np.flatnonzero(read.any(axis=0)).tolist():
-            root[read[:, j]] = _read(root[read[:, j]], self.S[j : j + 1])
-        return root
 
     @cached_property
     def grows(self) -> bool:
@@ -174,9 +165,13 @@ class GridFilter:
         return np.asarray(np.sum(self._ahead(at, P) <= self._exceeds(level), axis=1))
 
     def measured(self, P: Array, read: Mask) -> Array:
-        """Covariances (B, n, n) after samples that `read` (B, p)."""
+        """Covariances (B, n, n) after samples that `read` (B, p), or roots: what was large before takes no digit."""
+        P = P.copy() if self.grows else P
         for j in np.flatnonzero(read.any(axis=0)).tolist():
             h, mask = self.S[j], read[:, j]
+            if self.grows:
+                P[mask] = _read(P[mask], self.S[j : j + 1])
+                continue
             Ph = P @ h
             P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
         return P
@@ -184,7 +179,7 @@ class GridFilter:
     def after(self, P: Array, gap: Index) -> Array:
         """The same so many steps (B,) later."""
         F, Q = self._gaps
-        return propagate(P, F[gap], Q[gap])
+        return carried(P, F[gap], self._gap_roots[gap]) if self.grows else propagate(P, F[gap], Q[gap])
 
     @cached_property
     def least(self) -> Array:
@@ -213,21 +208,30 @@ class GridFilter:
             noise.append(propagate(noise[-1], self.F, self.Q))
         return np.array(flow), np.array(noise)
 
+    @cached_property
+    def _gap_roots(self) -> Array:
+        """Roots of Q (M + 1, n, n) over so many steps."""
+        return noise_roots(self.A, self.N, np.arange(self.problem.steps + 1.0) * self.discrete.step)
+
     def _exceeds(self, level: float) -> float:
         return level**2 * (1 + BEYOND_LEVEL)
 
     @cached_property
     def _looks(self) -> list[tuple[Array, Array]]:
-        """Of each goal, at PARTS times of every step ahead: its row (M s, n) there, and what noise adds (M s,)."""
+        """Of each goal, at PARTS times of every step ahead: its row (M s, n) there, and what noise adds (M s,).
+
+        Less what rounding of a flow that grows so far may have added.
+        """
         F, Q = (each[:-1] for each in self._gaps)
         parts = np.arange(1, PARTS + 1) / PARTS * self.discrete.step
         flow, noise = discounted_flow(self.A, self.N @ self.N.T, parts)
+        sure = np.maximum(1 - ROUNDED * EPS * np.abs(F).max(axis=(1, 2)), 0.0)[:, None]
         found = list[tuple[Array, Array]]()
         for g, goal in enumerate(self.problem.goals):
             row, first = self.rows[g] / goal.tolerance, 0 if goal.at == "all times" else PARTS - 1
             later = row @ flow[first:]
             added = np.einsum("si,mij,sj->ms", later, Q, later) + row @ noise[first:] @ row
-            found.append(((later @ F).reshape(-1, len(row)), added.ravel()))
+            found.append(((later @ F * np.sqrt(sure)[:, :, None]).reshape(-1, len(row)), (added * sure).ravel()))
         return found
 
     def _ahead(self, at: Index, P: Array, whole: bool = False) -> Array:
@@ -242,7 +246,8 @@ class GridFilter:
             if whole:
                 later, added = later.reshape(M, -1, n)[:, -1], added.reshape(M, -1)[:, -1]
             for of in (slice(b, b + few) for b in range(0, len(at), few)):
-                values = np.sum((later @ P[of]) * later, axis=2) + added
+                values = later @ P[of]
+                values = np.sum(values * (values if self.grows else later), axis=2) + added
                 when = wanted[(at[of, None] + np.arange(1, M + 1)) % M]
                 most = values.reshape(len(values), M, -1).max(axis=2)
                 found[of] = np.maximum(found[of], np.where(when, most, 0.0))
@@ -334,19 +339,12 @@ class GridFilter:
         return periods
 
 
-def _triangles(roots: Array) -> Array:
-    """Lower triangles T with T T' = R R' of roots R (B, n, m); the largest columns first, or the small ones drown."""
-    order = np.argsort(-np.abs(roots).max(axis=1), axis=1, kind="stable")[:, None]
-    rows = np.take_along_axis(roots, order, axis=2).swapaxes(1, 2)
-    return np.asarray(np.linalg.qr(rows, mode="r")).swapaxes(1, 2)
-
-
 def _read(roots: Array, rows: Array) -> Array:
     """Roots (B, n, n) of what is left unknown once rows (k, n) are read, in units of their noise."""
     (B, n, _), k = roots.shape, len(rows)
     both = np.zeros((B, k + n, k + n))
     both[:, :k, :k], both[:, :k, k:], both[:, k:, k:] = np.eye(k), rows @ roots, roots
-    return _triangles(both)[:, k:, k:]
+    return triangle(both)[:, k:, k:]
 
 
 def reached_first(A: Array, N: Array) -> tuple[Array, int]:

@@ -484,6 +484,29 @@ def test_what_grows_without_a_sample_takes_no_digit_of_what_is_known_after_one(a
     assert GridFilter(problem, discretize(problem)).ratios(chosen[None])[0, 0, [4, 8]] == pytest.approx(expected, 1e-9)
 
 
+@pytest.mark.parametrize("growth", [5.0, 12.0, 16.0, 20.0, 33.0])
+def test_no_choice_is_refuted_that_keeps_its_level_whatever_grows(growth):
+    """Covariances refuted plans from e^15 in a gap on that were ten times better than they had to be."""
+    rng, M = np.random.default_rng(int(growth)), 8
+    for n, p in ((2, 1), (2, 2), (3, 2), (3, 3)):
+        A, C = rng.normal(size=(n, n)), rng.normal(size=(p, n))
+        A *= growth / M / max(np.linalg.eigvals(A).real, key=abs)
+        sensors = {f"y{j + 1}": {"noise_deviation": 10.0 ** rng.uniform(-3, 1)} for j in range(p)}
+        goals = {f"x{i + 1}": goal(1.0) for i in range(n)}
+        asked = sd.PlanRequirement(goals, period=8.0, grid=1.0, w_intensity=0.1, sensors=sensors)
+        problem = pose_plan(sd.Plant(A, C), asked)
+        grid_filter, every = GridFilter(problem, discretize(problem)), np.arange(M)
+        for count in (1, 2, 3):
+            at, read = np.sort(rng.choice(M, count, replace=False))[None], np.ones((1, count, p), dtype=bool)
+            chosen = np.zeros((1, M, p), dtype=bool)
+            chosen[0, at[0]] = True
+            worst, gaps = float(grid_filter.worst(chosen).max()), np.diff(at[0], append=at[0, 0] + M)
+            assert not grid_filter._beyond(at, read, worst * (1 + 1e-4), True)
+            assert growth > 16 or grid_filter._beyond(at, read, worst * (1 - 1e-4), True)
+            best = grid_filter.measured(grid_filter.least, np.ones((M, p), dtype=bool))
+            assert growth > 20 or np.all(grid_filter.lasting(every, best, worst * (1 + 1e-4)).max() >= gaps.max())
+
+
 def test_a_plan_of_what_nothing_drives_reaches_nothing_and_is_read_back(tmp_path):
     level = sd.Plant([[-0.5]], [[1.0]], states=["level"], outputs=["y"])
     wanted = sd.PlanRequirement({"level": goal(1.0)}, period=4.0, grid=1.0, w_intensity=0.0, sensors={"y": TERMS["y"]})

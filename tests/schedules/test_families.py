@@ -30,7 +30,7 @@ FAMILIES = [
     LostSamples(PeriodicSchedule([0.1]), 2, 5),
     LostSamples(PeriodicSchedule([1.0, 2.0], outputs=[[1, 0], [0, 1]]), 1, 2),
     LostSamples(Schedule([0.5, 1.0, 3.0, 4.0]), 1, 3),
-    LostSamples(PeriodicSchedule([1.0, 0.5], 1.5, [[1, 0], [0, 1]]), 1, 3),  # first as late as it can be
+    LostSamples(PeriodicSchedule([1.0, 0.5], 1.5, [[1, 0], [0, 1]]), 1, 2),  # first as late as it can be
     Jitter(PeriodicSchedule([1.0, 0.5], 1.5), 0.2),
     OutputJitter(PeriodicSchedule([1.0, 0.5], 1.5, [[1, 0], [0, 1]]), [0.2, 0.1], [0.0, 0.2]),
 ]

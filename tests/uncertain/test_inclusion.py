@@ -2,6 +2,7 @@
 
 import functools
 import json
+import time
 from collections import Counter
 from dataclasses import replace
 from itertools import pairwise, product
@@ -354,6 +355,16 @@ def test_what_is_proven_by_the_end_of_the_budget_is_returned_and_less_is_undecid
     assert certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1).verify().passed
     with pytest.raises(KeyboardInterrupt):
         certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1)
+
+
+@pytest.mark.parametrize("solves", [5, 8])
+def test_the_choice_of_a_rate_leaves_time_for_a_proof(solves, monkeypatch):
+    """All of a budget went to it, and nothing was proven of what had been found."""
+    kept, clock = InclusionSearch.solve, []
+    monkeypatch.setattr(time, "perf_counter", lambda: 100.0 * len(clock))
+    monkeypatch.setattr(InclusionSearch, "solve", lambda *given, **how: clock.append(0) or kept(*given, **how))
+    schedule = PeriodicSchedule([1.0, 0.5], 1.5)
+    assert certify(UNCERTAIN, schedule, timing_tolerance=0.05, budget=100.0 * solves + 50.0).verify().passed
 
 
 def test_multipliers_that_prove_nothing_refute_nothing():

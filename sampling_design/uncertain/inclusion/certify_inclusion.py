@@ -39,7 +39,7 @@ SUSPECTS = 24
 LONGEST_LOOK = 6.0  # seconds of that search
 MOST_UNKNOWNS = 4000  # of a program with more memory than the least: it would take minutes
 BISECTIONS, CLOSE = 12, 1.003  # of the longest gap: at most so many, until both ends are this near
-SEEKING = 0.6  # share of a budget in which the longest gap is sought; it is proven in the rest
+SEEKING = 0.6  # share of a budget in which the rate or the longest gap is sought; it is proven in the rest
 
 
 @checked
@@ -244,7 +244,8 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
 
 
 def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Progress) -> float:
-    """The rate of the least horizon; the fastest of the scan where none has one."""
+    """The rate of the least horizon in a part of the budget; the slowest of the scan where none has one."""
+    given, search.budget = search.budget, search.budget.share(SEEKING)
 
     def horizon(rate: float) -> float:
         found = search.solve(rate, pieces, narrow=not arrival)
@@ -253,6 +254,7 @@ def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Pro
 
     scan = (np.geomspace(3.0, 0.05, RATES) / search.mean).tolist()
     found = best_rates(scan, FINER_RATES, horizon, lambda: search.budget.over, report)
+    search.budget = given
     best = found[0] if found else scan[-1]
     return best if best in scan else float(f"{best:.4g}")
 

@@ -177,7 +177,7 @@ class Interval(TableRecord, PlainRecord):
         return interval_file.tree_of(readings, self.t, self.rows, (lower, upper), self.gains, self.scales, proof)
 
     def verify(self, rigorous: bool = False) -> bool:
-        """Whether the gains prove both ends (or the contradiction), evaluated without a solver.
+        """Whether the gains prove both ends (or the contradiction), evaluated without a solver; `outer` is a premise.
 
         Parameters
         ----------

@@ -76,6 +76,16 @@ def test_a_false_counterexample_is_not_believed():
     assert not replace(found, direction=(1.0 + 0j, 0j)).verify()
     assert not replace(found, multiplier=0.5 * found.multiplier).verify()
     assert not replace(found, direction=(0j, 0j)).verify()
+    assert replace(found, residual=1e-3).verify()
+    for wrong in (
+        {"residual": -1e-3},
+        {"eigenvalue": 2j},
+        {"partners": ()},
+        {"partners": (2j,)},
+        {"partners": 2 * found.partners},
+        {"reason": "every mode is observable"},
+    ):
+        assert not replace(found, **wrong).verify(), wrong
 
 
 def test_losses_that_leave_a_blind_pattern_are_named():

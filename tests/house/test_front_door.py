@@ -155,8 +155,9 @@ def _others():
 
     An example of a docstring may name whatever its file names.
     """
-    (skipped,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
-    below = f"[mypy-{','.join(skipped['module'])}]\nignore_missing_imports = true\nfollow_imports = skip\n"
+    skipped = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
+    names = ",".join(name for each in skipped for name in each["module"])
+    below = f"[mypy-{names}]\nignore_missing_imports = true\nfollow_imports = skip\n"
     return f"{below}[mypy-sampling_design.*]\nfollow_imports = silent\nimplicit_reexport = true\n"
 
 

@@ -344,13 +344,13 @@ def state_interval(
     >>> found.lower.round(6), found.upper.round(6)
     (array([1.2]), array([1.4]))
     """
-    items, at = rows_of(record), None if t is None else checks.number("t", t)
+    items, at = rows_of(record, plant), None if t is None else checks.number("t", t)
     readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time, at)
     rows = requested_rows(plant, of)
     at = float(readings.times[-1]) if at is None else at
     if outliers == 0:
         return prove(RecordProgram(readings), at, rows)
-    every = arrived(items, plant.n_outputs)
+    every = arrived(items, plant)
     begun = beginning(every) if prior_time is None else prior_time
     samples = [k for k, row in enumerate(every) if row.censored or (row.y is not None and np.isfinite(row.y).any())]
     cases = []

@@ -449,12 +449,12 @@ class RecordRow(NamedTuple):
     censored: tuple[CensoredReading, ...] = ()
 
 
-def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
+def arrived(items: Iterable[object], plant: Plant) -> list[RecordRow]:
     """Return the rows (t, y, u) of a record, checked one by one.
 
     Raises ArgumentError if a row has another form or number of outputs, or an output is infinite.
     """
-    return [_arrived(item, p) for item in rows_of(items)]
+    return [_arrived(item, plant.n_outputs) for item in rows_of(items, plant)]
 
 
 def refuse_truth(record: object) -> None:
@@ -465,7 +465,7 @@ def refuse_truth(record: object) -> None:
         )
 
 
-def rows_of(record: Iterable[Row], origin: str = "") -> list[Row]:
+def rows_of(record: Iterable[Row], plant: Plant, origin: str = "") -> list[Row]:
     """Return the rows of a record as they came, those with dates as they count from `origin`, if it is known.
 
     Raises ArgumentError of a frame, since it does not say the date of time 0, and as `Measurements.on_clock`.
@@ -476,8 +476,8 @@ def rows_of(record: Iterable[Row], origin: str = "") -> list[Row]:
             "`record` must hold rows (t, y, u), got a frame: give it as `read_measurements(frame, plant)`, which also "
             "takes the date of time 0."
         )
-    moved: Callable[[str], Iterable[Row]] | None = getattr(record, "on_clock", None)
-    return list(record if moved is None else moved(origin))
+    moved: Callable[[str, Plant], Iterable[Row]] | None = getattr(record, "on_clock", None)
+    return list(record if moved is None else moved(origin, plant))
 
 
 def _arrived(item: object, p: int) -> RecordRow:

@@ -69,7 +69,7 @@ def read_record(
     Raises ArgumentError if the record is empty or not in order, or a bound is missing or of another shape.
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
-    items = arrived(record, plant.n_outputs)
+    items = arrived(record, plant)
     spans, begun = any(each.stamp for item in items for each in item.censored), beginning(items)
     start = begun if prior_time is None else checks.number("prior_time", prior_time)
     samples, inputs = _in_order(plant, items, start)

@@ -369,7 +369,7 @@ def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | No
         return None
     times: list[float] = []
     measured: list[Mask] = []
-    for item in rows_of(record, plan.schedule.origin or ""):
+    for item in rows_of(record, plan.plant, plan.schedule.origin or ""):
         _, reading, *_ = checks.entries("record", item, (2, 3), "rows (t, y, u)")
         plain, limits = with_censored(reading, plan.plant.n_outputs)
         y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))

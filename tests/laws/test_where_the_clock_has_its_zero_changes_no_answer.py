@@ -126,6 +126,24 @@ def test_a_record_and_its_shift_get_the_same_answer(verb, kind):
                 assert other == pytest.approx(one, rel=1e-6, abs=1e-6, nan_ok=True)
 
 
+OTHERS = {
+    "minutes": {"time_unit": "min"},
+    "outputs in another order": {"outputs": ["flow", "gauge"]},
+    "another input": {"inputs": ["valve"]},
+    "numbers in another unit": {"outputs": sd.plants.Signals(["gauge", "flow"], ["cm", "m/s"])},
+}
+
+
+@pytest.mark.parametrize(("verb", "other"), list(product([*VERBS, "next"], OTHERS)))
+def test_a_record_in_the_terms_of_another_plant_is_refused(verb, other):
+    """Minutes were read as seconds, and one output as the other."""
+    made = {"outputs": ["gauge", "flow"], "inputs": ["pump"]} | OTHERS[other]
+    rows = replace(RECORDS["numbers"], plant=sd.Plant(PLANT.A, PLANT.C, B=PLANT.B, **made))
+    answer = VERBS.get(verb, lambda rows, start: sd.next_sample(weekly(), rows))
+    with pytest.raises(ArgumentError, match=r"`record` must be Measurements in the plant's terms, time in (s|h), outp"):
+        answer(rows, 0.0)
+
+
 def test_a_log_shifted_by_whole_periods_is_the_same():
     plan, rows = sd.PeriodicSchedule([0.75, 0.75, 1.5]), RECORDS["limits"].between(0.0, 5.0)
     logs = []
@@ -202,6 +220,9 @@ def test_a_dated_record_is_on_the_clock_of_a_dated_schedule_wherever_it_counts_f
         found = made.run(record, centred=False)
         assert found.on_schedule.all()
         assert found.times.tolist() == (schedule.times + shift).tolist()
+        made.start(prior_time=shift)
+        curve = estimate_curve(made, record, 1, start=shift)
+        assert curve.measurements.times.tolist() == (schedule.times + shift).tolist()
         made.start(prior_time=shift)
         assert made.run(pandas.DataFrame(VISITS), centred=False).times.tolist() == found.times.tolist()
     asked = sd.next_sample(plan, record, prove=False)

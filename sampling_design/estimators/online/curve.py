@@ -194,7 +194,7 @@ def estimate_curve(
     Raises
     ------
     ArgumentError
-        If it is no estimator or no record of measurements, or `points` is no count.
+        If it is no estimator or no record of measurements in the terms of its plant, or `points` is no count.
 
     Notes
     -----
@@ -214,6 +214,7 @@ def estimate_curve(
     Estimates between and at 4 samples; the tube holds every state at all times, if the bounds do.
     """
     following = CurveCollector(estimator, checks.whole("points", points, 1), start=checks.number("start", start))
+    measurements = measurements.on_clock(estimator.clock_origin, estimator.plant)
     for t, (stamp, y, u) in zip(measurements.times.tolist(), measurements, strict=True):
         following.before(t)
         following.after(t, estimator.update(stamp, y, u))

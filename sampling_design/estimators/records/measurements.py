@@ -192,14 +192,17 @@ class Measurements(ListRecord[MeasuredRow]):
         moved = self.shifted(passed(there, here).total_seconds() / SECONDS[self.plant.time_unit])
         return replace(moved, origin=zoned_text(there))
 
-    def on_clock(self, origin: str) -> Measurements:
+    def on_clock(self, origin: str, plant: Plant | MeasuredPlant) -> Measurements:
         """Return the same rows as a schedule counts time whose time 0 is the date `origin`, where both have dates.
 
         Raises
         ------
         ArgumentError
-            If their dates have no zone and were read in UTC, while those of the schedule are in another one.
+            If `plant` has another unit of time, or other outputs or inputs; if their dates have no zone and were read
+            in UTC, while those of the schedule are in another one.
         """
+        if (mine := _terms(self.plant)) != (theirs := _terms(plant)):
+            raise ArgumentError(f"`record` must be Measurements in the plant's terms, {theirs}, got {mine}.")
         if not origin or not self.origin:
             return self
         there = parse_date("origin", origin)
@@ -274,7 +277,7 @@ class Measurements(ListRecord[MeasuredRow]):
         ArgumentError
             If `other` is of another plant, only one of the two has dates, or they contradict each other.
         """
-        if not isinstance(other, Measurements) or _signals(other.plant) != _signals(self.plant):
+        if not isinstance(other, Measurements) or _terms(other.plant) != _terms(self.plant):
             raise ArgumentError(f"`other` must be Measurements of the same plant, got {checks.described(other)}.")
         if bool(self.origin) != bool(other.origin):
             raise ArgumentError("`other` must have dates where these measurements do, and none where they have none.")
@@ -345,7 +348,7 @@ def on_clock(record: object, plant: MeasuredPlant, origin: str = "") -> object:
     """
     if is_frame(record):
         return read_measurements(record, plant, origin=origin or None)
-    return record.on_clock(origin) if isinstance(record, Measurements) else record
+    return record.on_clock(origin, plant) if isinstance(record, Measurements) else record
 
 
 @checked
@@ -467,8 +470,14 @@ def _agreed(table: Array, rows: Index) -> tuple[Array, Mask]:
     return largest, np.asarray((least < largest).any(axis=1))
 
 
-def _signals(plant: MeasuredPlant) -> tuple[object, ...]:
-    return plant.time_unit, tuple(plant.outputs.names), tuple(plant.inputs.names)
+def _terms(plant: MeasuredPlant) -> str:
+    """What numbers of a record mean."""
+    listed = [
+        f"{what} {', '.join(f'{n} [{unit}]' if unit else n for n, unit in zip(own.names, own.units, strict=True))}"
+        for what, own in (("outputs", plant.outputs), ("inputs", plant.inputs))
+        if len(own.names)
+    ]
+    return ", ".join([f"time in {plant.time_unit}", *listed])
 
 
 def cell_of(value: float) -> str:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import overload
 
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import EXACT, InitialSet, SignalBounds, noise_units
-from sampling_design.accuracy.gains import path_bounds
+from sampling_design.accuracy.gains import Integral, path_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sampled_system import (
+    GapDynamics,
     MeasurementModel,
     SampledSystem,
     balanced_flows,
@@ -105,26 +107,72 @@ def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Ar
     return np.asarray(np.linalg.inv(information))
 
 
-def finite_directions(system: SampledSystem, given: Sequence[Array] = ()) -> list[BoundedDirections]:
-    """What the samples up to each node determine, with bounds from the filter's gains.
+class _NotYetBoundError(Exception):
+    """A sample whose bounds another one rests on."""
 
-    `given` are bounds on |z| after the first samples, where something else bounds all of it there.
+    def __init__(self, sample: int):
+        super().__init__(sample)
+        self.sample = sample
+
+
+class FiniteDirections(Sequence[BoundedDirections]):
+    """What the samples up to each node determine, with bounds from the filter's gains: these when they are asked for.
+
+    `given` are bounds on |z| after the first samples, where something else bounds all of it there. Raises
+    UndecidedError where something free has decayed so far that doubles cannot tell what is left.
     """
-    start = system.start
-    assert start is not None
-    n = system.D.size
-    free = start.free()
-    observed: list[Array] = []
-    found: list[BoundedDirections] = []
-    known: list[Array | None] = []
-    for j in range(len(system)):
-        free = system.gaps[j - 1].F @ free if j else free
-        observed.append(system.samples[j].H @ free)
-        basis = _determined(free, observed)
-        path = system.nodes(j, len(system))
-        reach = given[j] if j < len(given) else path_bounds(system, path, start, known.__getitem__, basis)
-        found.append(BoundedDirections(basis, reach))
-        known.append(found[j].reach if j and basis.shape[1] == n else None)
+
+    def __init__(self, system: SampledSystem, given: Sequence[Array] = (), integral: Integral = GapDynamics.integral):
+        self._system, self._integral, self._bases = system, integral, _bases(system)
+        self._found = {j: BoundedDirections(self._bases[j], reach) for j, reach in enumerate(given)}
+
+    def __len__(self) -> int:
+        return len(self._bases)
+
+    @overload
+    def __getitem__(self, at: int) -> BoundedDirections: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[BoundedDirections]: ...
+    def __getitem__(self, at: int | slice) -> BoundedDirections | list[BoundedDirections]:
+        if isinstance(at, slice):
+            return [self[k] for k in range(len(self))[at]]
+        waiting = [] if at in self._found else [at]
+        while waiting:
+            try:
+                self._found[waiting[-1]] = self._bounded(waiting[-1])
+                waiting.pop()
+            except _NotYetBoundError as rest:
+                waiting.append(rest.sample)
+        return self._found[at]
+
+    def _bounded(self, j: int) -> BoundedDirections:
+        system, basis, path = self._system, self._bases[j], self._system.nodes(j, len(self))
+        assert system.start is not None
+        return BoundedDirections(basis, path_bounds(system, path, system.start, self._known, basis, self._integral))
+
+    def _known(self, k: int) -> Array | None:
+        """Bounds on |z| after a sample: of none that is the start, or that does not determine all of it."""
+        if not k or self._bases[k].shape[1] < self._system.D.size:
+            return None
+        if k not in self._found:
+            raise _NotYetBoundError(k)
+        return self._found[k].reach
+
+
+def _bases(system: SampledSystem) -> list[Array]:
+    """Orthonormal columns that span what the samples up to each node determine."""
+    assert system.start is not None
+    free, n = system.start.free(), system.D.size
+    observed, found, rows = list[Array](), list[Array](), sum(len(sample.H) for sample in system.samples)
+    for_ever = not free.shape[1]  # more rows hide nothing: the largest strength is at most the root of their number
+    for j, sample in enumerate(system.samples[: len(system)]):
+        if not for_ever:
+            free = system.gaps[j - 1].F @ free if j else free
+            observed.append(sample.H @ free)
+            found.append(_determined(free, observed))
+            for_ever = found[j].shape[1] == n and _shown(observed)[-1][0][-1] > UNOBSERVABLE * np.sqrt(rows)
+        else:
+            found.append(np.eye(n))
     return found
 
 
@@ -147,10 +195,8 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     n = len(free)
     if not free.shape[1]:
         return np.eye(n)
-    rows = np.vstack(observed)
-    rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
+    rows, (sizes, right) = _shown(observed)
     norms = np.linalg.norm(rows, axis=0)
-    sizes, right = _strengths(rows)
     open_ = sizes <= UNOBSERVABLE * max(1.0, float(sizes[0]))
     # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
     alike = _strengths(rows / np.where(norms > 0, norms, 1.0))[0]
@@ -167,6 +213,13 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     if strength[-1] <= UNOBSERVABLE * strength[0]:
         raise _faded()
     return np.asarray(left[:, len(strength) :])
+
+
+def _shown(observed: list[Array]) -> tuple[Array, tuple[Array, Array]]:
+    """What samples show, none of it larger than 1, and its strengths."""
+    rows = np.vstack(observed)
+    rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
+    return rows, _strengths(rows)
 
 
 def _strengths(rows: Array) -> tuple[Array, Array]:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,10 +20,14 @@ from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 
 ROUNDING = 1e-11  # relative allowance for rounding in every sum that bounds from above
+REMEMBERED = 2**16  # integrals that are kept for paths that come back
 AGAIN = 0.5  # share of the room for rounding that a proof takes when it is evaluated again
 
 LEFT = 0.01
 """What may be left of a direction, in units of what a filter knows, where its past counts as bounded already."""
+
+
+Integral: TypeAlias = Callable[[GapDynamics, Array, bool], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +87,7 @@ def followed_back(
     mu: Array,
     gains_at: Callable[[int, Array], Array],
     known: Callable[[int], Array | None] | None = None,
-    integral: Callable[[GapDynamics, Array, bool], Array] = GapDynamics.integral,
+    integral: Integral = GapDynamics.integral,
 ) -> tuple[Array, Array, Array, Array | None]:
     """Columns mu (n, m) at the last node, followed back through the gains that are given there.
 
@@ -111,6 +117,29 @@ def followed_back(
         every = integral(gap, np.hstack(columns), system.bounds.w_ball)
         total = total + every.reshape(len(columns), -1).sum(axis=0)
     return total, g, scale, reach
+
+
+class RepeatedIntegrals:
+    """What w adds over gaps to which paths come back with the same columns: worked out once."""
+
+    def __init__(self, gaps: Sequence[GapDynamics]) -> None:
+        self._gaps = {id(gap): gap for gap in gaps}
+        self._found: dict[tuple[int, bytes], Array] = {}
+
+    def __call__(self, gap: GapDynamics, mu: Array, ball: bool) -> Array:
+        """The integral of each column of mu (n, k), as `GapDynamics.integral`."""
+        if id(gap) not in self._gaps:
+            return gap.integral(mu, ball)
+        parts = np.split(mu, range(len(mu), mu.shape[1], len(mu)), axis=1)
+        keys = [(id(gap), blake2b(part.tobytes(), digest_size=16).digest()) for part in parts]
+        fresh = {key: part for key, part in zip(keys, parts, strict=True) if key not in self._found}
+        if fresh:
+            if len(self._found) > REMEMBERED:
+                self._found = {key: self._found[key] for key in keys if key not in fresh}
+            every = gap.integral(np.hstack([*fresh.values()]), ball)
+            ends = np.cumsum([part.shape[1] for part in fresh.values()])
+            self._found.update(zip(fresh, np.split(every, ends[:-1]), strict=True))
+        return np.concatenate([self._found[key] for key in keys])
 
 
 def whole_gains(
@@ -163,13 +192,15 @@ def transferred_gains(
 
 
 def path_bounds(
-    system: SampledSystem, nodes: list[int], start: InitialSet, known: Callable[[int], Array | None], mu: Array
-) -> Array:
+    system: SampledSystem, nodes: list[int], start: InitialSet, known: Callable[[int], Array | None], mu: Array,
+    integral: Integral = GapDynamics.integral,
+) -> Array:  # fmt: skip
     """Return what the filter's gains prove of every column of mu'z, mu (n, k), at the last of nodes from the start on.
 
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
     """
-    total, g, scale, reach = followed_back(system, nodes, mu, lambda k, g: system.samples[nodes[k]].K.T @ g, known)
+    gains = [system.samples[node].K.T for node in nodes]
+    total, g, scale, reach = followed_back(system, nodes, mu, lambda k, g: gains[k] @ g, known, integral)
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
     if not start.whole:  # what is free at the start must not be touched

@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import Bound, InitialSet, NoiseBound, SignalBounds
-from sampling_design.accuracy.finite import finite_directions, finite_system
+from sampling_design.accuracy.finite import FiniteDirections, finite_system
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sampled_system import SampledSystem, periodic_system
 from sampling_design.accuracy.undetectable import DetectablePart, known_part, lasting_part
@@ -224,7 +224,7 @@ class AccuracyQuestion:
         if self.is_late:
             system = with_results_out(system, self.comes_after)
         if system.start is not None:
-            return system, with_branches(system, finite_directions(system))
+            return system, with_branches(system, FiniteDirections(system))
         r = system.determined
         directions = [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in system.reach]
         return system, with_branches(system, directions)

@@ -74,7 +74,7 @@ class NodeBounds(Sequence[BoundedDirections]):
     """What bounds the nodes of a system, of those too of which some results are out: these when they are asked for."""
 
     def __init__(self, system: SampledSystem, directions: Sequence[BoundedDirections]):
-        self._system, self._found = system, dict(enumerate(directions))
+        self._system, self._directions, self._found = system, directions, dict[int, BoundedDirections]()
 
     def __len__(self) -> int:
         return len(self._system.samples)
@@ -86,6 +86,8 @@ class NodeBounds(Sequence[BoundedDirections]):
     def __getitem__(self, at: int | slice) -> BoundedDirections | list[BoundedDirections]:
         if isinstance(at, slice):
             return [self[k] for k in range(len(self))[at]]
+        if 0 <= at < len(self._directions):
+            return self._directions[at]
         if at not in self._found:
             if not 0 <= at < len(self):
                 raise IndexError(at)
@@ -109,7 +111,7 @@ class NodeBounds(Sequence[BoundedDirections]):
         return BoundedDirections(basis, path_bounds(system, path, system.start, known, basis))
 
 
-def with_branches(system: SampledSystem, directions: list[BoundedDirections]) -> Sequence[BoundedDirections]:
+def with_branches(system: SampledSystem, directions: Sequence[BoundedDirections]) -> Sequence[BoundedDirections]:
     """Return what bounds the nodes of a system; `directions` are its samples'.
 
     Raises UndecidedError where something free has decayed so far that doubles cannot tell what is left.

@@ -13,7 +13,8 @@ from sampling_design.accuracy import sampled_system
 from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof, combined
 from sampling_design.accuracy.bounds import InitialSet, noise_units
-from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, coordinate_root, finite_directions, start_covariance
+from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, FiniteDirections, coordinate_root, start_covariance
+from sampling_design.accuracy.gains import RepeatedIntegrals
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sampled_system import GapDynamics, MeasurementModel, SampledSystem
@@ -71,6 +72,12 @@ def plan_system(plan: PlanFigures) -> SampledSystem:
     return plan_bounds(plan)[0]
 
 
+@lru_cache(maxsize=4)
+def repeated_integrals(plan: PlanFigures) -> RepeatedIntegrals:
+    """What w adds over the plan's gaps, which all sequences share."""
+    return RepeatedIntegrals(plan_system(plan).gaps)
+
+
 def sequence_system(
     plan: PlanFigures, sequence: SampleSequence, settles: int = 1, *, limited: bool = True, until: float = -np.inf
 ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
@@ -90,7 +97,7 @@ def _as_results_come(
     plan: PlanFigures,
     sequence: SampleSequence,
     system: SampledSystem,
-    directions: list[BoundedDirections],
+    directions: Sequence[BoundedDirections],
     until: float = np.inf,
 ) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
     """A system and what its filter bounds, each result once it is in, up to the last sample or `until` a time; default:
@@ -104,7 +111,7 @@ def _as_results_come(
 
 def _system_with_noise(
     plan: PlanFigures, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
-) -> tuple[SampledSystem, list[BoundedDirections]]:
+) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
     """The system of a sequence and what its filter bounds, all results in at once.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
@@ -296,7 +303,7 @@ def timing_gains(plan: PlanFigures, node: int, i: int, back: bool) -> tuple[Arra
 
 def _noisier_system(
     plan: PlanFigures, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
-) -> tuple[SampledSystem, list[BoundedDirections]]:
+) -> tuple[SampledSystem, Sequence[BoundedDirections]]:
     """The system of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
     in coordinates of their own."""
     own, times, gaps = plan_system(plan), sequence.centres, np.diff(sequence.centres)
@@ -343,7 +350,7 @@ def _noisier_system(
     else:
         start = InitialSet.box(np.maximum(before[0], LEAST * before[0].max(initial=1.0)))
     system = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0, known=known)
-    return system, finite_directions(system, before)
+    return system, FiniteDirections(system, before, repeated_integrals(plan))
 
 
 def _same_gaps(plan: PlanFigures, phases: list[int | None], gaps: Array) -> list[bool]:

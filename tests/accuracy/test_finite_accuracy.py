@@ -10,7 +10,7 @@ import sampling_design as sd
 from sampling_design.accuracy import finite
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.gains import Gains, RepeatedIntegrals
 from sampling_design.accuracy.lasting import LastingResponses
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.cone_table import ConeTable
@@ -380,3 +380,51 @@ def test_what_is_proven_once_the_budget_is_spent_verifies(seed):
     schedule = sd.Schedule(np.cumsum(rng.uniform(0.2, 0.8, 8)))
     bounds = {"w_bound": 0.1, "v_bound": [0.1, 0.1], "initial_error": 1.0}
     assert sd.guaranteed_accuracy(plant, schedule, budget=1e-9, **bounds).verify()
+
+
+@pytest.mark.parametrize("initial", [None, 1.0])
+def test_what_bounds_a_sample_is_worked_out_when_it_is_asked_for(monkeypatch, initial):
+    """In whatever order, the same to the last digit; with those alone on which it rests."""
+    rng = np.random.default_rng(5)
+    schedule = sd.Schedule(np.cumsum(rng.uniform(0.3, 0.8, 60)))
+    given = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": initial}
+    system = sd.guaranteed_accuracy(PLANT, schedule, **given, budget=1e-9).question.filter_bounds(PLANT)[0]
+    whole, counted, bounds = [*finite.FiniteDirections(system)], list[int](), finite.path_bounds
+
+    def path(system, nodes, *given):
+        counted.append(nodes[-1])
+        return bounds(system, nodes, *given)
+
+    monkeypatch.setattr(finite, "path_bounds", path)
+    last = finite.FiniteDirections(system)
+    assert not counted
+    assert np.array_equal(last[59].reach, whole[59].reach)
+    assert len(set(counted)) <= 12
+    for k in range(60)[::-1]:
+        assert np.array_equal(last[k].reach, whole[k].reach)
+        assert np.array_equal(last[k].basis, whole[k].basis)
+    assert len(set(counted)) == 60
+    assert len(counted) <= 120
+
+
+def test_integrals_that_come_again_are_worked_out_once(monkeypatch):
+    """What paths prove with them is what they prove without, to rounding."""
+    accuracy = sd.guaranteed_accuracy(PLANT, sd.Schedule(np.arange(1.0, 9.0)), w_bound=0.02, v_bound=0.1, budget=1e-9)
+    system, counted = accuracy.question.filter_bounds(PLANT)[0], list[int]()
+    gap, integral = system.gaps[3], type(system.gaps[3]).integral
+    blocks = np.random.default_rng(6).standard_normal((2, 6))
+
+    def columns_of(gap, mu, ball):
+        counted.append(mu.shape[1])
+        return integral(gap, mu, ball)
+
+    for ball in (False, True):
+        known = RepeatedIntegrals(system.gaps[3:4])
+        with monkeypatch.context() as patched:
+            patched.setattr(type(gap), "integral", columns_of)
+            for places, fresh in (([0, 1, 2, 3, 4, 5], 6), ([2, 3, 0, 1], 0), ([0, 1, 1, 0], 2)):
+                counted.clear()
+                found = known(gap, blocks[:, places], ball)
+                assert found == pytest.approx(integral(gap, blocks[:, places], ball), rel=1e-13)
+                assert sum(counted) == fresh
+    assert np.array_equal(known(system.gaps[4], blocks, True), system.gaps[4].integral(blocks, True))

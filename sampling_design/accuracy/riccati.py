@@ -18,7 +18,7 @@ from sampling_design.errors import UndecidedError
 from sampling_design.numerics import filtering
 from sampling_design.numerics.filtering import CovarianceMap
 from sampling_design.numerics.linalg import psd_root, right_directions
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Index, Mask
 
 COARSER = (1e-5, 1e-4, 1e-3, 1e-2)
 """Noise that the filter takes a sensor to have at least, in units of what w does to a period's outputs, until its
@@ -27,6 +27,7 @@ covariance settles: for scaling only."""
 RANDOM_WALK = 1e-3
 """Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
 
+REFINED = 1e-18  # share of what is too much that may be left of a bound on all samples' errors
 SETTLED = 1e-14  # relative change of a doubled covariance at which it counts as the limit
 DOUBLINGS = 60  # 2^60 periods: what has not settled by then does not
 
@@ -235,3 +236,18 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
     after = rooted.settled(root)
     propagated = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
     return [X @ X.T for X in [propagated[-1], *propagated[:-1]]], after
+
+
+def least_bounds(costs: Array, rests: Array, at: Index) -> Array:
+    """Return the least R (N, r) with R_j = cost_j + |rest_j|'R_k, k = at_j, for rests (N, n, r).
+
+    Infinite if they do not contract.
+    """
+    rests = np.abs(rests[:, : costs.shape[1]])
+    share = max(float(rests.sum(axis=1).max(initial=0.0)), np.finfo(float).eps)
+    if share >= 1:
+        return np.full(costs.shape, np.inf)
+    found = np.full(costs.shape, float(costs.max(initial=0.0)) / (1 - share))
+    for _ in range(int(np.ceil(np.log(REFINED) / np.log(share)))):
+        found = costs + np.einsum("jik,ji->jk", rests, found[at])
+    return found

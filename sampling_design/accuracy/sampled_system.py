@@ -19,7 +19,7 @@ import numpy as np
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds, noise_units
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, pace, state_scales
 from sampling_design.accuracy.lasting import LastingResponses
-from sampling_design.accuracy.riccati import settled
+from sampling_design.accuracy.riccati import least_bounds, settled
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import update_with_gain
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
@@ -38,7 +38,6 @@ what is left is bounded all the same."""
 
 FORGOTTEN = 0.01  # the share of the past that may be left after the filter's memory
 PERIODS = 4000  # periods after which a filter that still remembers is given up: a bound that long would be no use
-REFINED = 1e-18  # share of what is too much that may be left of a bound on all samples' errors
 FOLLOWED = 40.0  # growth over a gap, as an exponent, beyond which a root of a covariance has no digit left
 AHEAD = 150.0  # growth after the last sample, as an exponent, whose square is a number still, in any units
 
@@ -329,14 +328,28 @@ class SampledSystem:
         is a bound, since |rest| contracts; put in on the right, it gives another one, which is no larger. 1 where
         nothing is known, of which nothing is asked.
         """
-        count, n, r = len(self), self.D.size, self.determined
-        at = (np.arange(count) - self.forgetting) % count
+        at = (np.arange(len(self)) - self.forgetting) % len(self)
         costs, rests = (np.array([past[i] for past in self._filtered]) for i in (1, 2))
-        share = max(float(rests.sum(axis=1).max(initial=0.0)), np.finfo(float).eps)
-        found = np.full((count, r), float(costs.max(initial=0.0)) / (1 - share))
-        for _ in range(int(np.ceil(np.log(REFINED) / np.log(share)))):
-            found = costs + np.einsum("jik,ji->jk", rests, found[at])
-        return np.hstack([found, np.ones((count, n - r))])
+        found = least_bounds(costs, rests, at)
+        return np.hstack([found, np.ones((len(self), self.D.size - self.determined))])
+
+    @cached_property
+    def filter_reach(self) -> Array:
+        """(N, n): the same of the filter that counts each sample once; infinite where that is not so easily bounded.
+
+        Whoever goes on from z_k counts sample k again, and so does `reach`: the rest before that is carried on here.
+        """
+        found = []
+        for j, (steps, cost, rest) in enumerate(self._filtered):
+            gap = self.gaps[(j - steps - 1) % len(self)]
+            found.append((cost + gap.size(rest, self.bounds.w_ball), gap.F.T @ rest))
+        at = (np.arange(len(self)) - self.forgetting - 1) % len(self)
+        return least_bounds(np.array([cost for cost, _ in found]), np.array([rest for _, rest in found]), at)
+
+    def rests_on(self, j: int, known: Array) -> Array:
+        """What follows after sample j of bounds on |z| at that `forgetting[j]` before it; endless."""
+        _, cost, rest = self._filtered[j]
+        return np.asarray(cost + known[: cost.size] @ np.abs(rest[: cost.size]))
 
     @property
     def forgetting(self) -> Index:
@@ -345,7 +358,7 @@ class SampledSystem:
 
     @cached_property
     def _filtered(self) -> list[tuple[int, Array, Array]]:
-        """Of each sample: samples back until the error contracts, what noise and w cost till then, |rest| (r, r).
+        """Of each sample: samples back until the error contracts, what noise and w cost till then, the rest (n, r).
 
         Raises UndecidedError if it does not contract.
         """
@@ -371,7 +384,7 @@ class SampledSystem:
                     for k, columns in propagated.items():
                         every = self.gaps[k].size(np.hstack(columns), self.bounds.w_ball)
                         cost += every.reshape(len(columns), r).sum(axis=0)
-                    found.append((steps, cost, np.abs(mu[:r])))
+                    found.append((steps, cost, mu))
                     break
                 at = (at - 1) % count
                 propagated.setdefault(at, []).append(mu)

@@ -6,11 +6,21 @@ from functools import lru_cache
 
 import numpy as np
 
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.planning.figures import PlanFigures, PlanRobustness, PlanStart
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.sequence import proven_ratio, settled_since, settling_time, worst_ratio
-from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned, sequence_from_start
+from sampling_design.planning.sequence_deviation import (
+    GRAIN,
+    ORDINARY,
+    SampleSequence,
+    departs_and_returns,
+    phase_of,
+    planned,
+    sequence_from_start,
+)
+from sampling_design.planning.sequence_system import plan_system, sequence_system
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
@@ -20,6 +30,11 @@ LONGER = 2  # how often the time that a plan takes to settle is doubled, at most
 
 LARGER = 1 + 1e-3
 """So many times what a plan leaves of the error in the end counts as settled; what is more is looked at for longer."""
+
+NEAR, NEARLY = 8.0, 1.1
+"""Where it leaves at most so many times what it does in the end, the filter that is followed from a plan's start gives
+way to the plan's own gains; where these leave at most so many times that, the start is forgotten, where time is short.
+"""
 
 SAME_ANEW = 1e-4  # figures worked out anew may be larger by this share: solvers of other machines
 
@@ -56,9 +71,68 @@ def _settled(plan: PlanFigures) -> tuple[SampleSequence, dict[int, float]]:
     return sequence, gaps
 
 
+def settled_from_start(plan: PlanFigures, t: float, *, soon: bool) -> float:
+    """How many times what a plan leaves of the error in the end it leaves at most from t after its start on, for ever.
+
+    Infinite where that is not proven; `soon`: by gains that are quickly the plan's own, which prove a little less.
+    """
+    times, wider = _own_gains_from_start(plan) if soon else (np.zeros(0), np.zeros(0))
+    if times.size:
+        at = int(np.searchsorted(times, t, side="right")) - 1
+        return float(wider[at]) if at >= 0 and wider[at] <= NEARLY else np.inf
+    since, found = _filter_from_start(plan)
+    return found if t >= since else np.inf
+
+
 @lru_cache(maxsize=4)
-def settled_from_start(plan: PlanFigures) -> tuple[float, float]:
-    """Since its start, from when on what a plan leaves of the error is at most so many times what it does in the end.
+def _own_gains_from_start(plan: PlanFigures) -> tuple[Array, Array]:
+    """Times of a plan from its start on, and from each on how many times what it leaves in the end it leaves at most.
+
+    The filter is followed from the start until it is near the plan's own, whose gains then serve.
+    """
+    nothing = np.zeros(0), np.zeros(0)
+    if plan.accuracy is None or plan.deviation is not None:
+        return nothing
+    sequence, own = from_start(plan, settling_time(plan) * 2 ** (LONGER + 1), plan.clock), plan_system(plan)
+    phases = [phase_of(plan.schedule, t) for t in sequence.clock_times.tolist()]
+    back = departs_and_returns(plan, sequence)[1]
+    for first in (len(own) * 2**k for k in range(LONGER + 2)):
+        if first >= len(phases) or back > first or sequence.late or sequence.result_delay is not None:
+            return nothing
+        try:
+            z = sequence_system(plan, sequence.until(first + 1))[1][first].reach
+        except UndecidedError:
+            return nothing
+        if np.all(z <= NEAR * own.reach[phases[first]]):
+            break
+    wider = left_by_own_gains(own, phases[first:], z)
+    return sequence.times[first : first + wider.size], wider
+
+
+def left_by_own_gains(own: SampledSystem, phases: list[int], z: Array) -> Array:
+    """How many times what an endless system leaves it leaves at most at each of its samples, and all that follow.
+
+    After an error within z at the first. By its filter's gains, the error is M z + (what w and noise have added since);
+    or it rests on an earlier sample, as `reach` does. Over as many samples as it looks back it is no more than what is
+    found here, and so over all that follow.
+    """
+    M, found, memory = np.eye(z.size), list[Array](), int(own.forgetting.max())
+    for phase in phases:
+        if found:
+            sample = own.samples[phase]
+            M = own.gaps[phase - 1].F @ M
+            M -= sample.K @ (sample.H @ M)
+        bound = own.filter_reach[phase] + np.abs(M) @ z if found else z
+        if len(found) >= own.forgetting[phase]:
+            bound = np.minimum(bound, own.rests_on(phase, found[-own.forgetting[phase]]))
+        found.append(bound)
+    left = np.max(np.array(found) / own.reach[phases], axis=1)
+    return np.maximum(np.maximum.accumulate(left[::-1])[::-1], 1.0)[: max(left.size - memory, 0)]
+
+
+@lru_cache(maxsize=4)
+def _filter_from_start(plan: PlanFigures) -> tuple[float, float]:
+    """Since a plan's start, from when on what it leaves of the error is at most so many times what it does in the end.
 
     Infinite where that is not proven.
     """

@@ -322,7 +322,7 @@ def next_sample(
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = _with_awaited(plan, taken, [*awaited], at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    run = NextChoices(plan, _history(plan, taken, at), at, limit, prove=prove)
+    run = NextChoices(plan, _history(plan, taken, at, soon=budget is not None), at, limit, prove=prove)
     known = known_at(plan, run.history, at, limit)
     exceeded = run.exceeded(known)
     full = run.answer(None)
@@ -445,8 +445,11 @@ def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult
     )
 
 
-def _history(plan: Plan, taken: _RecordedSamples | None, now: float) -> SampleSequence:
-    """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof."""
+def _history(plan: Plan, taken: _RecordedSamples | None, now: float, *, soon: bool = False) -> SampleSequence:
+    """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof.
+
+    `soon`: by a proof that costs little.
+    """
     mean = plan.schedule.period / len(plan.schedule)
     span = (looks_back(plan) + 1) * mean + plan.schedule.period + time_out(plan)
     tiny = 1e-6 * plan.problem.step
@@ -454,8 +457,8 @@ def _history(plan: Plan, taken: _RecordedSamples | None, now: float) -> SampleSe
     late = plan.problem.timing_tolerance
     # a sample of the plan that may be as late as the record's first one may be that one
     until = now + tiny if taken is None else float(taken.times[0]) - max(late.late) - tiny
-    since, wider = settled_from_start(plan) if until >= span else (np.inf, np.inf)
-    if until - span < since:
+    wider = settled_from_start(plan, until - span, soon=soon) if until >= span else np.inf
+    if wider == np.inf:
         followed = from_start(plan, until, plan.clock)
     else:
         times, measured = planned(plan, until - span, until, plan.clock)

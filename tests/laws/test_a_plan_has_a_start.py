@@ -5,15 +5,25 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
-from sampling_design.planning.disturbed import from_start, plan_start
+from sampling_design.planning.deadline import _ending, _in_gap
+from sampling_design.planning.disturbed import (
+    NEARLY,
+    _own_gains_from_start,
+    from_start,
+    left_by_own_gains,
+    plan_start,
+    settled_from_start,
+)
 from sampling_design.planning.figures import PlanStart
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
-from sampling_design.planning.sequence import looks_back
+from sampling_design.planning.sequence import looks_back, spans_of
 from sampling_design.planning.sequence_deviation import planned
+from sampling_design.planning.sequence_system import plan_system
 from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False}
@@ -211,3 +221,60 @@ def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
     assert "not proven to keep the tolerances at any time" in never.explain()
     assert sd.read_plan(never.save(tmp_path / "never.json")).start.from_time == np.inf
     assert "followed for ever; its start was not looked at" in replace(plan, start=None).explain()
+
+
+def worst_by_own_gains(plan, phases):
+    """The largest error z at the last of some samples of a filter that is exact at the first, by w that is constant in
+    cells."""
+    own, plant, n = plan_system(plan), plan.plant, plan.plant.n_states
+    g, total, cells = np.eye(n), np.zeros(n), 32
+    for at, before in zip(phases[:0:-1], phases[-2::-1], strict=True):
+        sample, h = own.samples[at], plan.schedule.gaps[at] / cells
+        total += np.abs(gains := sample.K.T @ g).sum(axis=0)
+        p = np.linalg.solve((own.D[:, None] * own.L[at]).T, g - sample.H.T @ gains)
+        both = expm(
+            np.block([[plant.A, plant.G], [np.zeros_like(plant.G.T), np.zeros((plant.n_disturbances,) * 2)]]) * h
+        )
+        for _ in range(cells):
+            total += plan.requirement.w_bound * np.linalg.norm(p.T @ both[:n, n:], axis=1)
+            p = both[:n, :n].T @ p
+        g = (own.D[:, None] * own.L[before]).T @ p
+    return total
+
+
+@pytest.mark.parametrize("name", few(PLANTS, 0, 2))
+def test_no_error_is_larger_than_a_plans_own_gains_leave_of_one(plans, name):
+    """Worst by a recursion of its own: no more than is proven of the filter, and in the end about as much.
+
+    Of the level it is more than is proven of the error: that is known better to who counts a sample again.
+    """
+    own = plan_system(plans[name])
+    phases = [k % len(own) for k in range(200)]
+    for k in (1, 2, 5, 199):
+        worst = worst_by_own_gains(plans[name], phases[: k + 1])
+        assert np.all(worst <= own.filter_reach[phases[k]] * (1 + 1e-11))
+    assert np.all(worst >= 0.98 * own.filter_reach[phases[-1]])
+    assert name != "level" or np.all(worst > 1.005 * own.reach[phases[-1]])
+    for size in (1e6, 3.0, 0.1):
+        left = left_by_own_gains(own, phases * 5, size * own.reach[0])
+        assert np.all(np.diff(left) <= 0)
+        assert left[0] >= max(size, 1.0)
+        assert 1 <= left[-1] <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("name", few(PLANTS, 0))
+def test_what_is_known_soon_and_long_after_the_start_is_no_less_than_is_attained(plans, name):
+    """Within a budget, where the start is forgotten by the plan's own gains, and where it is not yet."""
+    plan = replace(plans[name], start=None)
+    times, wider = _own_gains_from_start(plan)
+    nearly = float(times[np.argmax(wider <= NEARLY)])
+    assert settled_from_start(plan, nearly, soon=True) <= NEARLY
+    assert settled_from_start(plan, times[0] - plan.schedule.period, soon=True) == np.inf
+    for t in (nearly, float(times[-1])):
+        now = t + (looks_back(plan) + 2) * plan.schedule.period + plan.problem.step
+        found = [sd.next_sample(plan, now=now, budget=b).known["a"] / plan.goals[0].tolerance for b in (1e-9, 1e3)]
+        past = _ending(from_start(plan, now), now + plan.problem.step)
+        gap = next(_in_gap(plan, past, 0, spans_of(plan, past)[-1], 1.0))
+        attained = gap.ratios[np.argmin(np.abs(gap.times - now))]
+        assert attained <= min(found) * (1 + 1e-6)
+        assert found[1] <= 1.05 * NEARLY * attained

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy import finite
 from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.planning import sequence_system
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDeadline
 from sampling_design.planning.disturbed import delayed, without
@@ -363,3 +365,30 @@ def test_a_start_that_fades_before_samples_show_it_leaves_what_a_known_one_leave
         assert found.latest > 400.0
         known[error] = found.known["x1"]
     assert known[None] == pytest.approx(known[1e-3], rel=1e-3)
+
+
+@pytest.mark.parametrize("budget", [None, 1e3])
+def test_long_after_the_start_no_more_samples_are_looked_at_than_soon_after(week, monkeypatch, budget):
+    """Counted in samples of systems and of paths back; within a budget the filter is followed from the start no longer
+    than until it is near the plan's own."""
+    counted = {"samples": 0, "paths": 0}
+
+    def system_of(plan, sequence, *given, **named):
+        counted["samples"] += len(sequence.times)
+        return made(plan, sequence, *given, **named)
+
+    def path(system, nodes, *given):
+        counted["paths"] += 1
+        return bounds(system, nodes, *given)
+
+    made, bounds = sequence_system._noisier_system, finite.path_bounds
+    monkeypatch.setattr(sequence_system, "_noisier_system", system_of)
+    monkeypatch.setattr(finite, "path_bounds", path)
+    seen = []
+    for periods in (300, 5000):
+        counted.update(samples=0, paths=0)
+        again = replace(week)  # of which nothing is remembered
+        assert sd.next_sample(again, now=periods * week.schedule.period + 1.0, budget=budget).proven
+        seen.append(dict(counted))
+    assert seen[0] == seen[1]
+    assert min(seen[0].values()) > 0

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -91,6 +91,8 @@ class RecordProgram:
         self._posed: tuple[int, RecordCones] | None = None
         self._found: dict[tuple[int, str], tuple[Array | None, float]] = {}
         self._run_back: tuple[tuple[bytes, int], Array] | None = None
+        self._asked: tuple[tuple[float, bytes], tuple[Array, float]] | None = None
+        self._nominal_at = lru_cache(maxsize=1)(readings.nominal_at)
 
     @cached_property
     def _quadrature(self) -> DisturbanceQuadrature:
@@ -245,7 +247,13 @@ class RecordProgram:
         return plain if plain.value <= found.value + ALIKE * plain.width else found
 
     def _ahead(self, t: float, row: Array) -> tuple[Array, float]:
-        """The row in the coordinates of its time or the last one before, and a bound on what w adds from there to t."""
+        """The row where it is asked for or at the last time, and a bound on what w adds from there; kept once."""
+        key = t, row.tobytes()
+        if self._asked is None or self._asked[0] != key:
+            self._asked = key, self._moved(t, row)
+        return self._asked[1]
+
+    def _moved(self, t: float, row: Array) -> tuple[Array, float]:
         times = self.readings.times
         self._aim = min(int(np.searchsorted(times, t)), len(times) - 1)
         longer = np.zeros(len(self.table.D))
@@ -428,15 +436,14 @@ class RecordProgram:
     def _upper(self, t: float, row: Array, gains: Array) -> RowEnd:
         c, added = self._ahead(t, row)
         residuals, start, w, v, rounded = self.costs(c, gains)
-        nominal = self.readings.nominal_at(t)
-        value = float(row @ nominal) + residuals
+        nominal = self._nominal_at(t)
         exact = added + start + w + v
         width = exact * (1 + ROUNDING)
         read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         ahead = self.table.open(t - read.times[-1]).third.size if t > read.times[-1] else 0
         held = (self._rounded + FLOW_HELD * ahead) * float(terms) + rounded
-        end = value + width + held
+        end = float(row @ nominal) + residuals + width + held
         if not np.isfinite(end):
             return RowEnd(np.inf, residuals + width, width, gains)
         return RowEnd(end, residuals + width, width, gains, room=ROUNDING * exact + held)

@@ -64,6 +64,7 @@ def long_flows(a: Array, h: Fraction) -> list[tuple[Array, float]]:
     """The same for h/2^k, ..., h/2, h.
 
     A series at h/2^k, then k squarings: where S is off by D, S^2 is by (2|S| + 3|D|)|D| in the norm of row sums.
+    OverflowError where a power leaves the doubles: each squaring would have twice as many digits as the one before.
     """
     n, size = len(a), norm(a)
     halvings = max(0, math.ceil(math.log2(max(size * float(h) / SMALL, 1.0))))
@@ -78,6 +79,8 @@ def long_flows(a: Array, h: Fraction) -> list[tuple[Array, float]]:
     found = [(total, 5.0 * n * n * TERMS * UNIT)]
     for _ in range(halvings):
         S, off = norm(doubles(total)) * LOOSE, found[-1][1]
+        if not math.isfinite(S):
+            raise OverflowError("the flow of a gap")
         total = product(total, total)
         found.append((total, ((2 * S + 3 * off) * off + n * UNIT) * LOOSE))
     return found

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import sampling_design as sd
 from sampling_design.accuracy.interval import Interval, state_interval
 from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
-from sampling_design.checkers import check, claims, recovered
+from sampling_design.checkers import check, claims, long_numbers, recovered
 from sampling_design.checkers.long_numbers import BITS, doubles, largest_flow, long, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
@@ -372,6 +372,23 @@ def test_an_open_start_has_no_contradiction_that_the_rest_of_it_could_hide(tmp_p
 def test_a_check_may_do_so_much_and_no_more(whole):
     with pytest.raises(Undecided, match="it takes more work than one check may do"):
         proven(copy.deepcopy(whole[1]), 10.0)
+
+
+@pytest.mark.parametrize("entry", [1e4, 1e16, 1e100, -1e16])
+def test_a_flow_that_leaves_the_doubles_is_not_followed(whole, entry, monkeypatch):
+    """Each squaring has twice as many digits as the one before: a file of some numbers took all memory."""
+    digits, kept = [], long_numbers.product
+
+    def counted(a, b):
+        digits.append(max(abs(x) for x in a.ravel().tolist()).bit_length())
+        assert digits[-1] < 2**13
+        return kept(a, b)
+
+    monkeypatch.setattr(long_numbers, "product", counted)
+    data = copy.deepcopy(whole[1])
+    data["plant"]["matrices"]["A"][0][0] = entry
+    assert check(with_digest(data))["verdict"] == "undecided"
+    assert digits
 
 
 @pytest.mark.parametrize("name", few(["double_integrator", "cart_pendulum", "satellite"], 0, 1))

@@ -1,6 +1,7 @@
 """Timing errors and losses under which a certificate survives."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, plotting
 from sampling_design.certificates.compare.robustness import RobustnessSearch
+from sampling_design.certificates.families import program
 from sampling_design.certificates.families.certify_family import FamilySearch
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics import conic_programs
 from sampling_design.records.budget import Budget
 from tests.oracles.families import largest_lambda
 
@@ -156,6 +159,24 @@ def test_a_budget_that_runs_out_is_said(planned):
     assert not found.closed
     assert found.radius == 0.0
     assert "budget ran out" in str(found)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_what_a_solver_leaves_of_matrices_when_time_is_up_ends_no_search(planned, monkeypatch, share):
+    """Out of time it keeps to no cone: Cholesky's factor of what it left was a SolverError now and then."""
+    solved, turned = program._solved, np.array([[1.0, 2.0], [2.0, 1.0]])
+
+    def cut_off(cost, blocks, budget):
+        found = solved(cost, blocks, budget)
+        x = found.x.copy()
+        x[:-1] = np.tile(conic_programs.svec((1 - share) * np.eye(2) + share * turned), x.size // 3)
+        return replace(found, x=x, record=replace(found.record, status=conic_programs.BUDGET))
+
+    monkeypatch.setattr(program, "_solved", cut_off)
+    survived = sd.robustness(OSCILLATOR, planned, longest=3)
+    assert (survived.radius, survived.tolerated) == (0.0, ())
+    with pytest.raises(UndecidedError, match="no certificate was found"):
+        sd.certify(OSCILLATOR, sd.GapRange(0.9, 1.0), eta=0.3)
 
 
 def test_losses_among_any_number_of_samples_take_as_much_memory_as_there_is(planned):

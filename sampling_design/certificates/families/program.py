@@ -161,8 +161,10 @@ class FamilyProgram:
         solution = _solved(cost, posed, self.budget)
         if not conic_programs.usable(solution.record):
             return 0.0, None, solution.record
-        value = float(solution.x[-1])
-        return value, self._matrices(solution.x) if value >= least else None, solution.record
+        value, P = float(solution.x[-1]), self._matrices(solution.x)
+        chosen = P[0 if self.P2 is None else 1 :]
+        definite = np.all(np.linalg.eigvalsh(chosen)[:, 0] > 0)  # a solver that ended early keeps to no cone
+        return value, P if value >= least and definite else None, solution.record
 
     def _edge_points(self) -> list[tuple[int, float]]:
         return [(k, h) for k, times in enumerate(self.edge_times) for h in times]

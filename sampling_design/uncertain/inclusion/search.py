@@ -75,8 +75,8 @@ def fitted(
         x, slack, record = solve(program)
         if x is None:
             return None
-        P = program.matrices(x)
-        if not np.all(np.linalg.eigvalsh(P)[:, 0] > 0):
+        P, W = program.matrices(x), program.bound(x)
+        if not np.all(np.linalg.eigvalsh(P if W is None else [*P, W])[:, 0] > 0):
             return None
         if join:
             bad = worst_violated(flow_slacks(posed, P), search.chosen, STIFF_JOINING)
@@ -93,7 +93,7 @@ def fitted(
             )
             if bad or hidden:
                 continue
-        root, W = np.linalg.cholesky(np.mean(P, axis=0)), program.bound(x)
+        root = np.linalg.cholesky(np.mean(P, axis=0))
         own = np.asarray(root if W is None else np.linalg.cholesky(W), dtype=np.float64)
         gains = np.zeros((0, 0, 0))
         found = InclusionSolution(some.turned(own), in_coordinates(P, own), T @ own, None, gains, record)

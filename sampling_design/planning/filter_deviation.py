@@ -75,7 +75,7 @@ class GridFilter:
                 if read[i]:
                     P = self.measured(P, chosen[:, i])
                 after[i] = self._variance(P) if read[i] else before[i]
-                far = np.abs(P).max(axis=(1, 2)) > (np.sqrt(BEYOND) if self.grows else BEYOND)
+                far = np.abs(P).max(axis=(1, 2)) > self._most
                 if far.any():
                     lost |= far
                     P[far] = 0.0
@@ -97,6 +97,11 @@ class GridFilter:
         """Whether a period without a sample makes covariances so large that of what is known then no digit is left."""
         growth = float(np.abs(np.linalg.eigvals(self.F)).max(initial=0.0))
         return bool(self.problem.steps * np.log(max(growth, 1.0)) > np.log(DROWNED) / 2)
+
+    @property
+    def _most(self) -> float:
+        """The entry of a covariance, or of a root, beyond which it is as good as infinite."""
+        return BEYOND**0.5 if self.grows else BEYOND
 
     def _from_sample_to_sample(self, chosen: Mask) -> tuple[Array, Mask, int]:
         """Covariances (B, n, n) after a period like the one before it, which are lost, and the periods that it took.
@@ -153,7 +158,7 @@ class GridFilter:
             if self.work.over or (worst.shape == last.shape and np.all(worst <= last * (1 + SETTLED))):
                 break
             left, P, last = left[~found[left]], P[~found[left]], worst[~found[left]]
-            if not left.size or np.abs(P).max() > BEYOND:
+            if not left.size or np.abs(P).max() > self._most:
                 break
         return found
 
@@ -193,7 +198,7 @@ class GridFilter:
                 P = self.after(self.measured(P, self.problem.allowed[i : i + 1]), np.array([1]))
             if self.work.over or np.abs(before - last).max() <= SETTLED * np.abs(before).max():
                 break
-            if np.abs(before).max() > BEYOND:
+            if np.abs(before).max() > self._most:
                 return last
             last = before.copy()
         return before
@@ -213,19 +218,21 @@ class GridFilter:
         """Roots of Q (M + 1, n, n) over so many steps."""
         return noise_roots(self.A, self.N, np.arange(self.problem.steps + 1.0) * self.discrete.step)
 
+    @cached_property
+    def _sure(self) -> Array:
+        """Share (M + 1,) of a variance so many steps after a sample that is no rounding of a flow that grows so far."""
+        return np.asarray(np.maximum(1 - ROUNDED * EPS * np.abs(self._gaps[0]).max(axis=(1, 2)), 0.0))
+
     def _exceeds(self, level: float) -> float:
         return level**2 * (1 + BEYOND_LEVEL)
 
     @cached_property
     def _looks(self) -> list[tuple[Array, Array]]:
-        """Of each goal, at PARTS times of every step ahead: its row (M s, n) there, and what noise adds (M s,).
-
-        Less what rounding of a flow that grows so far may have added.
-        """
+        """Of each goal, at PARTS times of every step ahead: its row (M s, n) there, and what noise adds (M s,)."""
         F, Q = (each[:-1] for each in self._gaps)
         parts = np.arange(1, PARTS + 1) / PARTS * self.discrete.step
         flow, noise = discounted_flow(self.A, self.N @ self.N.T, parts)
-        sure = np.maximum(1 - ROUNDED * EPS * np.abs(F).max(axis=(1, 2)), 0.0)[:, None]
+        sure = self._sure[1:, None]
         found = list[tuple[Array, Array]]()
         for g, goal in enumerate(self.problem.goals):
             row, first = self.rows[g] / goal.tolerance, 0 if goal.at == "all times" else PARTS - 1
@@ -285,28 +292,30 @@ class GridFilter:
             return None
         periods = self._periods(z, g)
         last = periods[-1][1 if own(goal) else 0]
-        values = np.einsum("i,mij,j->m", self.rows[g], last, self.rows[g])
-        return self._tangent(z, g, int(np.argmax(np.where(wanted, values, -1.0))), periods)
+        return self._tangent(z, g, int(np.argmax(np.where(wanted, self._variance(last)[:, g], -1.0))), periods)
 
     def tangent_at(self, z: Array, g: int, end: int) -> HiddenTrajectory | None:
         """The same at one step: reach^2 less the sum of `peaks` over what is measured is below the variance."""
         return self._tangent(z, g, end, self._periods(z, g))
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows says nothing
     def _tangent(self, z: Array, g: int, end: int, periods: list[tuple[Array, Array]]) -> HiddenTrajectory | None:
         goal, M = self.problem.goals[g], len(z)
-        row = self.rows[g] / goal.tolerance
         i, at_sample = end % M, own(goal)
-        lam, slope = row.copy(), np.zeros(z.shape)
-        value = float(lam @ periods[-1][1 if at_sample else 0][i] @ lam)
+        lam, slope = self.rows[g] / goal.tolerance, np.zeros(z.shape)
+        value = float(self._variance(periods[-1][1 if at_sample else 0][i][None])[0, g]) / goal.tolerance**2
         skip = not at_sample
         for _, after in reversed(periods):
             for k in range(i, -1, -1):
                 if not skip:  # dV/dz = -(h'P lam)^2, and lam before the samples is (I - H'z H P) lam
-                    gain = self.S @ after[k] @ lam
+                    gain = self.S @ (after[k] @ (after[k].T @ lam) if self.grows else after[k] @ lam)
                     slope[k] += gain**2
                     lam = lam - self.S.T @ (z[k] * gain)
                 lam, skip = self.F.T @ lam, False
             i = M - 1
+        (since,) = np.nonzero(np.roll(np.any(z, axis=1)[::-1], end + at_sample))
+        sure = self._sure[int(since.min(initial=M - 1)) + (not at_sample)]
+        value, slope = value * sure, slope * sure
         reach = float(np.sqrt(max(value + float(np.sum(slope * z)), 0.0)))
         if not 0 < reach < MOST_REACH or not np.isfinite(slope).all():
             return None
@@ -317,23 +326,24 @@ class GridFilter:
     def _periods(self, z: Array, g: int) -> list[tuple[Array, Array]]:
         """Covariances before and after every step's samples, period by period from P = 0."""
         n, M = self.discrete.n, len(z)
-        P, last = np.zeros((n, n)), 0.0
-        row = self.rows[g] / self.problem.goals[g].tolerance
+        P, last, enough = np.zeros((1, n, n)), 0.0, ENOUGH * self.problem.goals[g].tolerance ** 2
         some, periods = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
         for _ in range(TANGENT_PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), M * n)
             before, after = np.zeros((M, n, n)), np.zeros((M, n, n))
             for i in range(M):
-                before[i] = P = propagate(P, self.F, self.Q)
+                P = self.after(P, np.array([1]))
+                before[i] = P[0]
                 if some[i]:
-                    root = _read(covariance_root(P)[None], np.sqrt(z[i])[:, None] * self.S)[0]
-                    P = root @ root.T
-                after[i] = P
-                if np.abs(P).max() > BEYOND:
+                    root = P if self.grows else covariance_root(P[0])[None]
+                    root = _read(root, np.sqrt(z[i])[:, None] * self.S)
+                    P = root if self.grows else root @ root.swapaxes(1, 2)
+                after[i] = P[0]
+                if np.abs(P).max() > self._most:
                     return periods or [(before, after)]
             periods.append((before, after))
-            now = float(row @ P @ row)
-            if abs(now - last) <= SETTLED * now or now > ENOUGH:
+            now = float(self._variance(P)[0, g])
+            if abs(now - last) <= SETTLED * now or now > enough:
                 break
             last = now
         return periods

@@ -503,8 +503,25 @@ def test_no_choice_is_refuted_that_keeps_its_level_whatever_grows(growth):
             worst, gaps = float(grid_filter.worst(chosen).max()), np.diff(at[0], append=at[0, 0] + M)
             assert not grid_filter._beyond(at, read, worst * (1 + 1e-4), True)
             assert growth > 16 or grid_filter._beyond(at, read, worst * (1 - 1e-4), True)
+            for g, reached in enumerate(np.sqrt(grid_filter.variances(chosen)[0][0])):
+                at_most = replace(problem.goals[g], tolerance=float(reached.max()))
+                of = GridFilter(replace(problem, goals=(at_most,)), discretize(problem))
+                tangent = of.tangent(chosen[0].astype(float), 0)
+                assert tangent is not None or growth > 20
+                if tangent is not None:
+                    gained = np.roll(tangent.peaks[::-1], (tangent.end + 1) % M, axis=0)[chosen[0]].sum()
+                    assert tangent.reach**2 - gained == pytest.approx(1.0, abs=1e-4 if growth < 18 else 1.0)
+                    assert tangent.reach**2 - gained < 1 + 1e-6
             best = grid_filter.measured(grid_filter.least, np.ones((M, p), dtype=bool))
             assert growth > 20 or np.all(grid_filter.lasting(every, best, worst * (1 + 1e-4)).max() >= gaps.max())
+
+
+def test_a_tangent_that_overflows_says_nothing(found, monkeypatch):
+    """Of states whose units are far apart rounding may leave covariances that are none."""
+    M, grid_filter = found.problem.steps, GridFilter(found.problem, discretize(found.problem))
+    lost = np.tile(1e100 * np.eye(2), (M, 1, 1))
+    monkeypatch.setattr(grid_filter, "_periods", lambda *of: [(lost, lost)] * 2)
+    assert grid_filter.tangent(np.ones(found.problem.allowed.shape), 0) is None
 
 
 def test_a_plan_of_what_nothing_drives_reaches_nothing_and_is_read_back(tmp_path):

@@ -30,9 +30,9 @@ from sampling_design.checkers.strict import (
 )
 from sampling_design.planning.discrete_plant import DiscretePlant, discretize
 from sampling_design.planning.evidence import CostProof, CostTree, PlanBound, trajectory_of
-from sampling_design.planning.figures import LEFT_OUT, PlanRobustness, PlanStart
+from sampling_design.planning.figures import LEFT_OUT, LOST, PlanRobustness, PlanStart
 from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
-from sampling_design.planning.problem import PlanProblem, pose_plan
+from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.plants.files import plant_from_dict
@@ -105,12 +105,15 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     Returns
     -------
     Plan
-        Its bounds are as in the file: `verify()` works them out.
+        Its bounds are as in the file: `verify()` works them out. So is its `status`, the search's own word, which
+        nothing proves: what no plan can beat is said by the bounds.
 
     Raises
     ------
     FileFormatError
-        If the file is missing, cut off, of another format, or says better figures than its own schedule gives.
+        If the file is missing, cut off, of another format, or contradicts itself: better figures than its own schedule
+        gives, a schedule that begins, counts or reads in another way than its requirement and plant, `left_out` what it
+        holds.
 
     Examples
     --------
@@ -139,21 +142,28 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
             raise refuse("schedule", "does not keep the hours, spacings or limits of the requirement")
         bound = _bound(problem, discretize(problem), tree)
         found = proven_plan(problem, chosen, bound, tree["status"])
+        if schedule.origin not in (None, found.schedule.origin):
+            raise refuse("schedule.origin", f"is {schedule.origin!r} where the calendar begins at another time")
         for key, mine in (("reached", found.reached), ("cost", found.cost), ("ratio", found.ratio)):
-            given = np.asarray(tree[key])
-            least = np.asarray(mine) * (1 - SAME)
-            most = np.asarray(mine) * (1 + SAME) if key == "cost" else np.inf  # accuracy may be proven better by now
+            given, share = np.asarray(tree[key]), SAME_PRICE if key == "cost" else SAME
+            least = np.asarray(mine) * (1 - share)
+            most = np.asarray(mine) * (1 + share) if key == "cost" else np.inf  # accuracy may be proven better by now
             if given.shape != least.shape or not np.all((given >= least) & (given <= most)):
                 raise refuse(
                     key, f"is {given.tolist()!r:.40} where the schedule gives {np.asarray(mine).tolist()!r:.40}"
                 )
-        return replace(
+        whole = replace(
             found,
             certificate=_certificate(tree.get("certificate"), found),
             robustness=_robustness(tree.get("robustness"), found),
             left_out=tuple(tree.get("left_out", ())),
             start=_start(tree.get("start")),
         )
+        held = {"bound": bound.ratio, **{key: getattr(whole, key) for key in LEFT_OUT if key != "bound"}}
+        for key in whole.left_out:
+            if held[key] is not None:
+                raise refuse("left_out", f'names "{key}", which the file holds')
+        return whole
 
 
 def _certificate(data: object, found: Plan) -> Certificate | None:
@@ -184,6 +194,8 @@ def _robustness(data: Tree | None, found: Plan) -> PlanRobustness | None:
         arrays[key] = freeze(np.array([np.inf if x is None else x for x in data[key]], dtype=float))
         if arrays[key].size != found.samples:
             raise refuse(f"robustness.{key}", f"must have {found.samples} entries, one for each sample")
+    if data["lost"] >= len(LOST):
+        raise refuse("robustness.lost", f"must be 0 to {len(LOST) - 1}")
     return PlanRobustness(time_unit=data["time_unit"], lost=data["lost"], **arrays)
 
 

@@ -118,7 +118,8 @@ class Plan(PlanFigures):
     bound : PlanBound
     status : str
         "complete" where nothing better can be found on the grid (to the search's accuracy), "interrupted" where the
-        call was, else "budget" (of seconds, or of choices that are judged to do and proven not to).
+        call was, else "budget" (of seconds, or of choices that are judged to do and proven not to). The search's own
+        word: `verify` proves the bounds, not this.
     certificate : Certificate or None
         That the samples show the whole state, with a rate; None where they do not, or where it was not asked for.
     robustness : PlanRobustness or None

@@ -8,6 +8,7 @@ import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.observability.alignment import align
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.requirement import KINDS, PlanRequirement
 from sampling_design.plants.plant import Plant
@@ -177,8 +178,9 @@ class PlanProblem:
     def chosen(self, schedule: PeriodicSchedule) -> Mask:
         """The choice that a schedule makes.
 
-        Raises ArgumentError if its period is another, or a time is off the grid.
+        Raises ArgumentError if its period, unit or outputs are others, or a time is off the grid.
         """
+        schedule = align(self.plant, schedule)
         at = np.round(schedule.times / self.step).astype(int)
         near = np.abs(schedule.times - at * self.step) <= WHOLE * self.step
         if abs(schedule.period - self.period) > WHOLE * self.step or not near.all() or at.max() >= self.steps:

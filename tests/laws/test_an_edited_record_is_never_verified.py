@@ -1,5 +1,6 @@
 """What a record says, what proves it and what both are about belong together: whoever edits one of them is refused."""
 
+import json
 from dataclasses import replace
 from functools import cache, partial
 
@@ -15,9 +16,11 @@ from sampling_design import (
     design_schedule,
     guaranteed_accuracy,
     plan_samples,
+    read_plan,
     state_interval,
 )
 from sampling_design.accuracy import accuracy_by_count, accuracy_limit
+from sampling_design.errors import FileFormatError
 
 PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], time_unit="h")
 READ = [[True, False], [True, True], [True, False]]
@@ -177,3 +180,75 @@ def test_what_says_less_is_still_true():
     found = endless()
     weaker = replace(found, lower=found.lower / 2, upper=found.upper * 2, at_samples=found.at_samples * 1.1)
     assert weaker.verify()
+
+
+@cache
+def dated_plan():
+    sensors = {"gauge": {"noise_bound": 0.5, "price": 1.0}, "meter": {"noise_bound": 0.1, "price": 1.5}}
+    plant = Plant([[0.0, 0.1], [0.0, -0.3]], np.eye(2), time_unit="h", states=("a", "b"), outputs=("gauge", "meter"))
+    wanted = PlanRequirement(
+        {"a": 3.0}, period="1 d", grid="6 h", w_bound=[0.02, 0.01], sensors=sensors, initial_error=1.0,
+        calendar={"start": "2026-03-23", "zone": "Europe/Berlin"},
+    )  # fmt: skip
+    return plan_samples(plant, wanted)
+
+
+FILE_EDITS = {
+    "reached": lambda f: f.update(reached=[f["reached"][0] * 0.99]),
+    "ratio": lambda f: f.update(ratio=f["ratio"] * 0.99),
+    "cost": lambda f: f.update(cost=f["cost"] * 0.9999),
+    "bound of the cost": lambda f: f["no_cheaper_than"].update(value=f["cost"] * 1.01),
+    "level of the cost's bound": lambda f: f["no_cheaper_than"].update(level=0.99),
+    "bound of the accuracy": lambda f: f["no_better_than"].update(level=f["ratio"]),
+    "what it costs": lambda f: f["no_better_than"].update(value=f["no_better_than"]["value"] * 2),
+    "reach": lambda f: f["trajectories"][0].update(reach=f["trajectories"][0]["reach"] * 1.01),
+    "of which sensors": lambda f: f["schedule"].update(output_names=["meter", "gauge"]),
+    "of no sensors": lambda f: f["schedule"].update(output_names=["gauge", "other"]),
+    "in days": lambda f: f["schedule"].update(time_unit="d"),
+    "on another date": lambda f: f["schedule"].update(origin="2026-03-24T00:00:00+01:00[Europe/Berlin]"),
+    "in another zone": lambda f: f["requirement"]["calendar"].update(zone="UTC"),
+    "from another date": lambda f: f["requirement"]["calendar"].update(start="2026-03-24"),
+    "while it is closed": lambda f: f["requirement"]["calendar"].update(hours={"Sat": [["00:00", "24:00"]]}),
+    "tolerance": lambda f: f["requirement"]["accuracy"]["a"].update(tolerance=f["reached"][0] * 0.99),
+    "price": lambda f: f["requirement"]["sensors"]["gauge"].update(price=0.9),
+    "noise": lambda f: f["requirement"]["sensors"]["gauge"].update(noise_bound=0.6),
+    "disturbance": lambda f: f["requirement"].update(w_bound=[0.03, 0.01]),
+    "initial error": lambda f: f["requirement"].update(initial_error=10.0),
+    "plant": lambda f: f["plant"]["matrices"].update(A=[[0.0, 0.11], [0.0, -0.3]]),
+    "left out, and there": lambda f: f.update(left_out=["robustness"]),
+    "rate": lambda f: f["certificate"].update(eta=f["certificate"]["eta"] * 1.01),
+    "later": lambda f: f["robustness"].update(late=[t + f["robustness"]["step"][0] for t in f["robustness"]["late"]]),
+    "late for less": lambda f: f["robustness"].update(late_ratio=[r * 0.99 for r in f["robustness"]["late_ratio"]]),
+    "more lost": lambda f: f["robustness"].update(lost=f["robustness"]["lost"] + 1),
+    "lost for less": lambda f: f["robustness"].update(lost_ratio=[r * 0.99 for r in f["robustness"]["lost_ratio"]]),
+    "in minutes": lambda f: f["robustness"].update(time_unit="min"),
+    "kept earlier": lambda f: f["start"].update(from_time=f["start"]["from_time"] - 0.1),
+    "kept closer": lambda f: f["start"].update(ratio=f["start"]["ratio"] * 0.99),
+    "of any error": lambda f: f["start"].update(bounded=False),
+}
+
+
+@pytest.mark.parametrize("what", FILE_EDITS)
+def test_an_edited_file_of_a_plan_is_refused_or_not_verified(what, tmp_path):
+    data = json.loads(dated_plan().save(tmp_path / "plan.json").read_text())
+    FILE_EDITS[what](data)
+    (tmp_path / "plan.json").write_text(json.dumps(data))
+    try:
+        found = read_plan(tmp_path / "plan.json")
+    except FileFormatError:
+        return
+    assert not found.verify()
+
+
+def test_contradictions_within_a_file_of_a_plan_are_named(tmp_path):
+    for what, words in (
+        ("on another date", "`schedule.origin` is .* where the calendar begins at another time"),
+        ("left out, and there", '`left_out` names "robustness", which the file holds'),
+        ("more lost", "`robustness.lost` must be 0 to 2"),
+        ("in days", "`schedule` is in d and the plant in h"),
+    ):
+        data = json.loads(dated_plan().save(tmp_path / "plan.json").read_text())
+        FILE_EDITS[what](data)
+        (tmp_path / "plan.json").write_text(json.dumps(data))
+        with pytest.raises(FileFormatError, match=words):
+            read_plan(tmp_path / "plan.json")

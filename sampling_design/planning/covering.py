@@ -32,7 +32,9 @@ ENTRIES, FEWEST = 4_000_000, 40
 
 ROUNDING = 1e-9  # relative allowance for rounding in what multipliers prove
 NEAR = 5e-4  # a choice is cheap enough within this share; how many trajectories it sees decides no finer
-OPEN_ROW = 1e3  # price of a row left open, in units of the dearest variable's: what has no choice becomes this dear
+OPEN_ROW = 1e3
+"""Price of a row left open, in units of the dearest variable's, or that of all of them and one more: what has no choice
+becomes this dear, which is above every limit."""
 TIE = 1e-9  # costs are equal within this share
 SMALLER = 16  # times as many beginnings are looked at, at most
 MOST_CHOICES = 20_000  # beginnings of one length, and choices, that are judged one by one
@@ -424,7 +426,8 @@ def relaxed(model: CoveringProgram, low: Array, high: Array, work: Budget) -> tu
     from scipy.optimize import linprog
 
     work.add(RELAXED, model.A.nnz)
-    (m, k), price = model.A.shape, OPEN_ROW * float(np.max(model.c, initial=model.unit))
+    (m, k), dearest = model.A.shape, float(np.max(model.c, initial=model.unit))
+    price = max(OPEN_ROW * dearest, float(model.c.sum()) + dearest)
     A = sparse.hstack([model.A, sparse.identity(m)], format="csr")
     bounds = np.vstack([np.column_stack([low, high]), np.column_stack([np.zeros(m), np.full(m, np.inf)])])
     cost = np.concatenate([model.c, np.full(m, price)])

@@ -5,12 +5,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from sampling_design import PlanRequirement, Plant, plan_samples
 from sampling_design.planning import hitting_set
 from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import CostProver
-from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.covering import CoveringProgram, CoveringRows, relaxed
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import CostTree, PlanBound, bound_holds, proven_cost
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
@@ -24,6 +25,12 @@ TWO = Plant(
     [[0.0, 1.0], [-1.0, -0.1]], np.eye(2), B=[[1.0, 0.0], [0.0, 1.0]], states=["place", "speed"], outputs=["y", "z"]
 )
 NO_FLIGHT = DisturbedTrajectory(np.zeros((1, 1)), np.zeros(1, dtype=np.intp), np.zeros((1, 2)), np.zeros((2, 2)))
+
+
+def test_a_row_that_nothing_sees_is_dearer_than_all_that_there_is():
+    count = 1200
+    program = CoveringProgram(np.ones(count), sparse.csr_matrix((1, count)), np.ones(1))
+    assert relaxed(program, np.zeros(count), np.ones(count), Budget(counted=True))[2] > count
 
 
 def posed(samples=3, *, closed=(), **more):

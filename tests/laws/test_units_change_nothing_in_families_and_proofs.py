@@ -109,6 +109,20 @@ def test_the_program_of_a_family_is_the_same_to_the_last_bit(seed, kind, prior):
     assert made[1] == made[0]
 
 
+@pytest.mark.parametrize("factor", [7.0, 1e-6])
+@pytest.mark.parametrize("plant", PLANTS[:2])
+def test_a_common_factor_of_all_weights_changes_no_program(plant, factor):
+    """Cost and information are counted in it: the rate hung on how the solver rounded."""
+    made = []
+    for c in (1.0, factor):
+        Qw, R = c * (np.eye(plant.n_disturbances) + 0.1), c * 2.0 * np.eye(plant.n_outputs)
+        family = in_plant_terms(plant, families(1.0)["jitter"])
+        search = FamilySearch(plant, family, weights_of(plant, Qw, R, None), None, 3.0)
+        program = search.program(0.1, search.graph(0))
+        made.append([M.tobytes() for M in (program.dynamics.A, program.dynamics.noise, program.unit)])
+    assert made[1] == made[0]
+
+
 @pytest.mark.parametrize("seed", SEEDS[1:2])
 def test_robustness_of_a_certificate(seed):
     plant, units, other = changed(seed)

@@ -123,7 +123,8 @@ class FamilySearch:
         root = np.asarray(np.linalg.inv(_coordinate_root(Y)).T, dtype=np.float64)  # P = root root' = Y^-1
         dynamics = dynamics_of(inner.plant, inner.weights, rate, root, graph)
         given = None if self.P2 is None else dynamics.inside(cut_weight(inner.inside(self.P2)))
-        unit = dynamics.inside(np.diag(1.0 / inner.plant.states.scales**2))
+        sizes = self.plant.states.scales / inner.x  # beside each other: a common factor of all weights scales them all
+        unit = dynamics.inside(np.diag(cut(np.min(sizes) / sizes) ** 2))
         return FamilyProgram(dynamics, graph, unit, given, self.budget)
 
     def least_lam(

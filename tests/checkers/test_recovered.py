@@ -389,6 +389,8 @@ def test_a_flow_that_leaves_the_doubles_is_not_followed(whole, entry, monkeypatc
     data["plant"]["matrices"]["A"][0][0] = entry
     assert check(with_digest(data))["verdict"] == "undecided"
     assert digits
+    with pytest.raises(OverflowError, match="the flow of a gap"):
+        long_flow(np.array([[abs(entry)]]), Fraction(8))
 
 
 @pytest.mark.parametrize("name", few(["double_integrator", "cart_pendulum", "satellite"], 0, 1))

@@ -7,9 +7,11 @@ serve all.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import overload
 
 import numpy as np
 
@@ -226,6 +228,33 @@ class BoundedDirections:
         """Say whether nothing of the rests of targets (default: of themselves) lies outside the basis."""
         left = np.linalg.norm(rest - (rest @ self.basis) @ self.basis.T, axis=1)
         return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))
+
+
+class AskedDirections(Sequence[BoundedDirections], ABC):
+    """Bounded directions of many nodes, each worked out when it is asked for."""
+
+    def __init__(self, count: int):
+        self._count, self._found = count, dict[int, BoundedDirections]()
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, at: int) -> BoundedDirections: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[BoundedDirections]: ...
+    def __getitem__(self, at: int | slice) -> BoundedDirections | list[BoundedDirections]:
+        if isinstance(at, slice):
+            return [self[k] for k in range(self._count)[at]]
+        if at not in self._found:
+            if not 0 <= at < self._count:
+                raise IndexError(at)
+            self._found[at] = self._bounded(at)
+        return self._found[at]
+
+    @abstractmethod
+    def _bounded(self, at: int) -> BoundedDirections:
+        """Those of one node."""
 
 
 def combined(system: SampledSystem, j: int, mu: Array, directions: BoundedDirections) -> list[tuple[Array, ...]]:

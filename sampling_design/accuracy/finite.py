@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import overload
 
 import numpy as np
 
-from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounded_directions import AskedDirections, BoundedDirections
 from sampling_design.accuracy.bounds import EXACT, InitialSet, SignalBounds, noise_units
 from sampling_design.accuracy.gains import Integral, path_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
@@ -107,15 +106,7 @@ def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Ar
     return np.asarray(np.linalg.inv(information))
 
 
-class _NotYetBoundError(Exception):
-    """A sample whose bounds another one rests on."""
-
-    def __init__(self, sample: int):
-        super().__init__(sample)
-        self.sample = sample
-
-
-class FiniteDirections(Sequence[BoundedDirections]):
+class FiniteDirections(AskedDirections):
     """What the samples up to each node determine, with bounds from the filter's gains: these when they are asked for.
 
     `given` are bounds on |z| after the first samples, where something else bounds all of it there. Raises
@@ -124,39 +115,30 @@ class FiniteDirections(Sequence[BoundedDirections]):
 
     def __init__(self, system: SampledSystem, given: Sequence[Array] = (), integral: Integral = GapDynamics.integral):
         self._system, self._integral, self._bases = system, integral, _bases(system)
-        self._found = {j: BoundedDirections(self._bases[j], reach) for j, reach in enumerate(given)}
+        super().__init__(len(system))
+        self._found.update((j, BoundedDirections(self._bases[j], reach)) for j, reach in enumerate(given))
 
-    def __len__(self) -> int:
-        return len(self._bases)
-
-    @overload
-    def __getitem__(self, at: int) -> BoundedDirections: ...
-    @overload
-    def __getitem__(self, at: slice) -> list[BoundedDirections]: ...
-    def __getitem__(self, at: int | slice) -> BoundedDirections | list[BoundedDirections]:
-        if isinstance(at, slice):
-            return [self[k] for k in range(len(self))[at]]
-        waiting = [] if at in self._found else [at]
-        while waiting:
+    def _bounded(self, at: int) -> BoundedDirections:
+        waiting = [at]  # each rests on others, which wait with it: so many that they may not call each other
+        while True:
             try:
-                self._found[waiting[-1]] = self._bounded(waiting[-1])
-                waiting.pop()
-            except _NotYetBoundError as rest:
-                waiting.append(rest.sample)
-        return self._found[at]
+                found = self._of_path(waiting[-1])
+            except KeyError as rest:
+                waiting.append(rest.args[0])
+                continue
+            if len(waiting) == 1:
+                return found
+            self._found[waiting.pop()] = found
 
-    def _bounded(self, j: int) -> BoundedDirections:
+    def _of_path(self, j: int) -> BoundedDirections:
         system, basis, path = self._system, self._bases[j], self._system.nodes(j, len(self))
         assert system.start is not None
         return BoundedDirections(basis, path_bounds(system, path, system.start, self._known, basis, self._integral))
 
     def _known(self, k: int) -> Array | None:
-        """Bounds on |z| after a sample: of none that is the start, or that does not determine all of it."""
-        if not k or self._bases[k].shape[1] < self._system.D.size:
-            return None
-        if k not in self._found:
-            raise _NotYetBoundError(k)
-        return self._found[k].reach
+        """Bounds on |z| after a sample; none of the start, or where it is not all determined. KeyError: not yet."""
+        whole = k and self._bases[k].shape[1] == self._system.D.size
+        return self._found[k].reach if whole else None
 
 
 def _bases(system: SampledSystem) -> list[Array]:
@@ -170,7 +152,7 @@ def _bases(system: SampledSystem) -> list[Array]:
             free = system.gaps[j - 1].F @ free if j else free
             observed.append(sample.H @ free)
             found.append(_determined(free, observed))
-            for_ever = found[j].shape[1] == n and _shown(observed)[-1][0][-1] > UNOBSERVABLE * np.sqrt(rows)
+            for_ever = found[j].shape[1] == n and _seen_rows(observed)[-1][0][-1] > UNOBSERVABLE * np.sqrt(rows)
         else:
             found.append(np.eye(n))
     return found
@@ -195,7 +177,7 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     n = len(free)
     if not free.shape[1]:
         return np.eye(n)
-    rows, (sizes, right) = _shown(observed)
+    rows, (sizes, right) = _seen_rows(observed)
     norms = np.linalg.norm(rows, axis=0)
     open_ = sizes <= UNOBSERVABLE * max(1.0, float(sizes[0]))
     # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
@@ -215,7 +197,7 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     return np.asarray(left[:, len(strength) :])
 
 
-def _shown(observed: list[Array]) -> tuple[Array, tuple[Array, Array]]:
+def _seen_rows(observed: list[Array]) -> tuple[Array, tuple[Array, Array]]:
     """What samples show, none of it larger than 1, and its strengths."""
     rows = np.vstack(observed)
     rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))

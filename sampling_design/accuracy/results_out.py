@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounded_directions import AskedDirections, BoundedDirections
 from sampling_design.accuracy.finite import determined_at
 from sampling_design.accuracy.gains import ROUNDING, followed_back, path_bounds
 from sampling_design.accuracy.sampled_system import KnownSpan, MeasurementModel, SampledSystem
@@ -70,29 +70,15 @@ def with_results_out(system: SampledSystem, delays: Array) -> SampledSystem:
     )
 
 
-class NodeBounds(Sequence[BoundedDirections]):
+class NodeBounds(AskedDirections):
     """What bounds the nodes of a system, of those too of which some results are out: these when they are asked for."""
 
     def __init__(self, system: SampledSystem, directions: Sequence[BoundedDirections]):
-        self._system, self._directions, self._found = system, directions, dict[int, BoundedDirections]()
+        super().__init__(len(system.samples))
+        self._system, self._directions = system, directions
 
-    def __len__(self) -> int:
-        return len(self._system.samples)
-
-    @overload
-    def __getitem__(self, at: int) -> BoundedDirections: ...
-    @overload
-    def __getitem__(self, at: slice) -> list[BoundedDirections]: ...
-    def __getitem__(self, at: int | slice) -> BoundedDirections | list[BoundedDirections]:
-        if isinstance(at, slice):
-            return [self[k] for k in range(len(self))[at]]
-        if 0 <= at < len(self._directions):
-            return self._directions[at]
-        if at not in self._found:
-            if not 0 <= at < len(self):
-                raise IndexError(at)
-            self._found[at] = self._branch(at)
-        return self._found[at]
+    def _bounded(self, at: int) -> BoundedDirections:
+        return self._directions[at] if at < len(self._directions) else self._branch(at)
 
     def _branch(self, node: int) -> BoundedDirections:
         system, path = self._system, self._system.nodes(node, 1)

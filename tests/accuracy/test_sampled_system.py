@@ -58,9 +58,10 @@ def test_the_reach_is_that_of_each_sample_alone(name, gaps):
 def test_the_reach_satisfies_its_inequality_and_hardly_more(name):
     system = made(name, [0.7, 1.6, 0.9, 2.0])
     for j, (back, cost, rest) in enumerate(system._filtered):
-        right = cost + rest.T @ system.reach[(j - back) % len(system)]
+        right = cost + np.abs(rest).T @ system.reach[(j - back) % len(system)]
         np.testing.assert_allclose(system.reach[j], right, rtol=1e-12)
-        assert rest.sum(axis=0).max() < chains.CONTRACTED
+        np.testing.assert_allclose(system.rests_on(j, system.reach[(j - back) % len(system)]), right, rtol=1e-12)
+        assert np.abs(rest).sum(axis=0).max() < chains.CONTRACTED
 
 
 def test_many_samples_take_as_many_steps_as_the_error_lasts(monkeypatch):

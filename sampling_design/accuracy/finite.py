@@ -152,7 +152,7 @@ def _bases(system: SampledSystem) -> list[Array]:
             free = system.gaps[j - 1].F @ free if j else free
             observed.append(sample.H @ free)
             found.append(_determined(free, observed))
-            for_ever = found[j].shape[1] == n and _seen_rows(observed)[-1][0][-1] > UNOBSERVABLE * np.sqrt(rows)
+            for_ever = found[j].shape[1] == n and _row_strengths(observed)[-1][0][-1] > UNOBSERVABLE * np.sqrt(rows)
         else:
             found.append(np.eye(n))
     return found
@@ -177,7 +177,7 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     n = len(free)
     if not free.shape[1]:
         return np.eye(n)
-    rows, (sizes, right) = _seen_rows(observed)
+    rows, (sizes, right) = _row_strengths(observed)
     norms = np.linalg.norm(rows, axis=0)
     open_ = sizes <= UNOBSERVABLE * max(1.0, float(sizes[0]))
     # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
@@ -197,7 +197,7 @@ def _determined(free: Array, observed: list[Array]) -> Array:
     return np.asarray(left[:, len(strength) :])
 
 
-def _seen_rows(observed: list[Array]) -> tuple[Array, tuple[Array, Array]]:
+def _row_strengths(observed: list[Array]) -> tuple[Array, tuple[Array, Array]]:
     """What samples show, none of it larger than 1, and its strengths."""
     rows = np.vstack(observed)
     rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))

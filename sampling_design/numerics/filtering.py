@@ -207,7 +207,7 @@ def noise_roots(A: Array, N: Array, gaps: Array) -> Array:
     doublings = np.maximum(np.ceil(np.log2(np.maximum(h * np.linalg.norm(A, 1) / SHORT, 1e-300))), 0).astype(int)
     step = np.ldexp(h, -doublings)
     points, weights = np.polynomial.legendre.leggauss(n + 4)
-    columns = expm_batch(A, np.outer(step, (1 + points) / 2).ravel()).reshape(h.size, -1, n, n) @ N
+    columns = expm_batch(A, np.outer(step, (1 + points) / 2).ravel()).reshape(h.size, points.size, n, n) @ N
     columns *= np.sqrt(np.outer(step, weights) / 2)[:, :, None, None]
     roots = triangle(np.concatenate([*columns.swapaxes(0, 1), np.zeros((h.size, n, n))], axis=-1))
     F = expm_batch(A, step)

@@ -51,7 +51,8 @@ class NextSample(Record):
         Time that has passed since the start of the plan [the plant's time unit], as all times here; `date` names it.
     latest : float
         With the sensors `outputs`, at this very time (`explain` says "by" where any before it will do); after it the
-        plan's own times follow. The next allowed time was found too late; one further on may do again. Where no time
+        plan's own times follow. Times up to a period ahead are looked at; the next allowed one of these was found too
+        late, by floats that have samples at steps of the grid; one further on may do again. Where no time
         keeps every tolerance from now on: that after which they are all kept again soonest. -inf: none is known.
     outputs : tuple of str
     alone : dict of str to float
@@ -64,7 +65,8 @@ class NextSample(Record):
         Else all this rests on looks on the grid: between its times, or where results come in, more may be so.
     deadline : GoalDeadline or None
         Which goal reaches its tolerance first, and when, if the sample comes at the next allowed time after `latest`;
-        where no sample keeps them all, at `latest`. None if it may come at any time, or where `complete` is false.
+        where no sample keeps them all, at `latest`. None if it may come at any time of the period ahead, or where
+        `complete` is false.
     alone_deadlines : dict of str to GoalDeadline
         The same for each sensor alone.
     kept_from : float

@@ -359,7 +359,7 @@ class _Planning:
             return self._record(best, PlanBound((), None, None), False)
         rival = self._better(best, np.inf)
         best = self.feasible.sharpest(rival.incumbents, best)
-        best.require_bounded(self.problem)
+        best.require_bounded()
         if best.worst > 1 and self.search.out_of_reach:
             text, what = "No plan with these spacings, uses and limits was found that keeps the tolerances", "spacing"
             if self.problem.unspaced:

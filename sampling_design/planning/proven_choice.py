@@ -138,11 +138,10 @@ class ProvenChoice:
         """The largest ratio."""
         return float(self.ratios.max(initial=0.0))
 
-    def require_bounded(self, problem: PlanProblem) -> None:
+    def require_bounded(self) -> None:
         """Refuse a choice of which nothing is proven. Raises UndecidedError."""
         if not np.isfinite(self.worst):
-            times = "at all times within `timing_tolerance`" if problem.timing_tolerance else "to keep any accuracy"
-            raise UndecidedError(f"undecided: no plan was proven {times}. Ask for less.")
+            raise UndecidedError("undecided: no plan was proven at all times within `timing_tolerance`. Ask for less.")
 
 
 class FeasibleChoices:
@@ -226,7 +225,7 @@ class FeasibleChoices:
             if found.worst <= 1:
                 best, high = found, count
             elif best is None:
-                found.require_bounded(self.problem)
+                found.require_bounded()
                 if found.cut:
                     return found
                 raise UndecidedError(

@@ -176,7 +176,7 @@ def short(value: object, digits: int = 6, up: bool | None = None) -> str:
 
 
 def _digits(value: float, digits: int, up: bool | None) -> str:
-    nearest = f"{value + 0.0:.{digits}g}"  # -0 is 0
+    nearest = f"{value:.{digits}g}"
     if up is None or not math.isfinite(value) or (float(nearest) >= value if up else float(nearest) <= value):
         return _plain(nearest)
     outward = Context(prec=digits, rounding=ROUND_CEILING if up else ROUND_FLOOR).create_decimal(value)

@@ -10,7 +10,7 @@ import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, plotting
 from sampling_design.certificates.compare.robustness import RobustnessSearch
 from sampling_design.certificates.families import program
-from sampling_design.certificates.families.certify_family import FamilySearch
+from sampling_design.certificates.families.certify_family import FamilySearch, certified
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics import conic_programs
 from sampling_design.records.budget import Budget
@@ -40,6 +40,31 @@ def test_what_survives_is_proven_with_the_same_weights(planned, found):
     assert found.jittered.family.timing_tolerance == found.radius
     assert found.tolerated
     assert all(d < w for d, w in found.tolerated)
+
+
+def test_what_no_proof_closes_for_has_not_survived(monkeypatch, planned, found):
+    """At horizons that bear nearly any lambda a solver finds what doubles cannot prove: it ended the search."""
+    (most, of), *_ = found.tolerated
+    asked = sd.Jitter(planned.schedule, found.radius)
+
+    def refusing(plant, family, *others):
+        if getattr(family, "timing_tolerance", 0.0) >= found.radius or getattr(family, "of", np.inf) <= of:
+            raise UndecidedError("undecided: the proof of the certificate did not close.")
+        return certified(plant, family, *others)
+
+    monkeypatch.setattr("sampling_design.certificates.compare.robustness.certified", refusing)
+    less = sd.robustness(OSCILLATOR, planned, longest=4, families=[asked])
+    assert 0 < less.radius < less.broken == found.radius
+    assert less.jittered.verify().passed
+    assert [bool(trial) for trial in less.trials] == [t.family.timing_tolerance <= less.radius for t in less.trials]
+    assert (most, of) not in less.tolerated
+    assert not any(trial for trial in less.losses if trial.family.of <= of)
+    assert [(bool(trial), trial.certificate) for trial in less.others] == [(False, None)]
+
+
+def test_a_horizon_that_no_double_grows_over_bears_every_certificate(planned):
+    found = sd.robustness(OSCILLATOR, planned, horizon=1e19, longest=2, budget=0.2)
+    assert found.limit == np.inf
 
 
 def test_the_certificate_of_a_family_is_sent_to_that_of_a_schedule(found):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import comb
 from typing import Generic, Protocol, TypeVar, runtime_checkable
@@ -17,7 +18,7 @@ from sampling_design.certificates.families.certify_family import FamilyProposal,
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
 from sampling_design.certificates.form.claims import RESOLUTION
-from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.plants.rows import Wanted
@@ -35,6 +36,7 @@ RADIUS_RTOL = 0.02
 LARGEST_PART = 0.999  # the radius stays below this fraction of half the least gap: there samples could change places
 FIRST_RADIUS = 1 / 8  # share of that radius which is tried first, then twice as much: what is small is decided soonest
 JITTER_MEMORY = 2  # levels of memory that are tried for jitter
+PROVING = 0.25  # share of the budget that ball arithmetic has at least for what doubles leave undecided
 MOST_UNKNOWNS = 1200  # unknowns of one semidefinite program; a graph with more is taken with less memory
 
 
@@ -196,12 +198,13 @@ class RobustnessSearch:
 
     def proven(self, family: SamplingFamily, proposal: FamilyProposal) -> FamilyCertificate:
         """The certificate of a proposal; after an interrupt it is made all the same, and nothing else is sought."""
-        within = in_plant_terms(self.plant, family)
+        given = self.plant, in_plant_terms(self.plant, family), self.weights, proposal
+        longest = max(self.whole.left, PROVING * self.whole.seconds)
         try:
-            return certified(self.plant, within, self.weights, proposal)
+            return certified(*given, longest)
         except KeyboardInterrupt:
             self.whole.stop()
-            return certified(self.plant, within, self.weights, proposal)
+            return certified(*given, longest)
 
     def tried(self, family: SamplingFamily) -> FamilyTrial[SamplingFamily]:
         """One family, with as much memory as is tried for timing errors."""
@@ -211,30 +214,44 @@ class RobustnessSearch:
         if not certificate_exists(self.plant, member, self.certificate.eta).exists:
             return FamilyTrial(family, np.inf, False)
         lam, proposal = self.judge(family, range(min(JITTER_MEMORY, family.levels_of_memory)))
-        return FamilyTrial(
-            family, lam, proposal is not None, None if proposal is None else self.proven(family, proposal)
-        )
+        made = self.certificate_of_last([] if proposal is None else [(family, proposal)])
+        return FamilyTrial(family, lam, made is not None, made)
+
+    def certificate_of_last(self, survived: list[tuple[Family, FamilyProposal]]) -> FamilyCertificate | None:
+        """The certificate of the last family whose proof closes; those after it are taken away."""
+        while survived:
+            with suppress(UndecidedError):
+                return self.proven(*survived[-1])
+            survived.pop()
+        return None
 
     def largest_radius(
         self, schedule: PeriodicSchedule
     ) -> tuple[float, float, list[FamilyTrial[Jitter]], FamilyCertificate | None]:
         """The largest timing error that is proven, the least that is not, all that were tried, and its certificate."""
         top = LARGEST_PART * schedule.min_gap / 2
-        low, high, best = 0.0, top, None
-        trials = [FamilyTrial(Jitter(schedule, 0.0), self.certificate.lam, True)]
-        radius, failed = FIRST_RADIUS * top, False
+        low, high, survived = 0.0, top, list[tuple[Jitter, FamilyProposal]]()
+        tried = [(Jitter(schedule, 0.0), self.certificate.lam)]
+        radius = FIRST_RADIUS * top
         while high - low > RADIUS_RTOL * top and not self.late:
             self.report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
             family = Jitter(schedule, radius)
             lam, proposal = self.judge(family, range(JITTER_MEMORY))
             if self.late:
                 break
-            trials.append(FamilyTrial(family, lam, proposal is not None))
-            low, high, best = (radius, high, (family, proposal)) if proposal is not None else (low, radius, best)
-            failed = failed or proposal is None
+            tried.append((family, lam))
+            if proposal is None:
+                high = radius
+            else:
+                low, survived = radius, [*survived, (family, proposal)]
+            failed = len(tried) > len(survived) + 1  # the schedule itself is the first that was tried
             radius = (low + high) / 2 if failed else min(2 * low, top)
+        made = self.certificate_of_last(survived)
+        low = survived[-1][0].timing_tolerance if survived else 0.0
+        trials = [FamilyTrial(family, lam, family.timing_tolerance <= low) for family, lam in tried]
         trials.sort(key=lambda trial: trial.family.timing_tolerance)
-        return low, high, trials, None if best is None else self.proven(*best)
+        broken = min((trial.family.timing_tolerance for trial in trials if not trial), default=top)
+        return low, broken, trials, made
 
     def most_losses(
         self, schedule: PeriodicSchedule, longest: int
@@ -244,7 +261,7 @@ class RobustnessSearch:
         certificates: list[FamilyCertificate] = []
         for d in range(1, longest):
             self.report(0.5 + 0.5 * d / longest, f"{d} lost")
-            best = None
+            found, survived = list[tuple[LostSamples, float]](), list[tuple[LostSamples, FamilyProposal]]()
             low, high = d, longest + 1  # w = low fails (all lost), w = high is not asked for
             w = longest
             while high - low > 1 and not self.late:
@@ -252,12 +269,18 @@ class RobustnessSearch:
                 lam, proposal = self.judge(family, [self._loss_level(family)])
                 if self.late:
                     break
-                tried.append(FamilyTrial(family, lam, proposal is not None))
-                low, high, best = (low, w, (family, proposal)) if proposal is not None else (w, high, best)
+                found.append((family, lam))
+                if proposal is None:
+                    low = w
+                else:
+                    high, survived = w, [*survived, (family, proposal)]
                 w = (low + high) // 2
-            if best is None:
+            made = self.certificate_of_last(survived)
+            least = survived[-1][0].of if survived else np.inf
+            tried += [FamilyTrial(family, lam, family.of >= least) for family, lam in found]
+            if made is None:
                 break
-            certificates.append(self.proven(*best))
+            certificates.append(made)
         return sorted(tried, key=lambda trial: (trial.family.most, trial.family.of)), certificates
 
     def _loss_level(self, family: LostSamples) -> int:
@@ -348,7 +371,8 @@ def robustness(
     if other := first_difference(plant, planned.plant):
         raise ArgumentError(f"`certificate` certifies another plant: {other}.")
     M = planned.horizon().length if horizon is None else checks.positive("horizon", horizon)
-    limit = float(np.exp(planned.eta * M))
+    with np.errstate(over="ignore"):  # infinite: any certificate suffices
+        limit = float(np.exp(planned.eta * M))
     if planned.lam_proven >= limit:
         least = planned.horizon().minimum
         raise ArgumentError(

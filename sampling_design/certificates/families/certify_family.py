@@ -440,16 +440,16 @@ def _refuse_too_long_gap(plant: Plant, longest: float, eta: float) -> None:
 
 
 def certified(
-    plant: Plant, family: SamplingFamily, weights: NoiseWeights, proposal: FamilyProposal
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, proposal: FamilyProposal, longest: float = np.inf
 ) -> FamilyCertificate:
-    """The certificate of a proposal, judged by the independent checker."""
+    """The certificate of a proposal, judged by the independent checker; `longest` are seconds for ball arithmetic."""
     assert proposal.P is not None
     P, lam = proposal.P, max(proposal.lam, 1.0)
     made = FamilyCertificate(
         plant, family, P1=(1 - RESOLUTION) * P[0] / lam, P2=P[0], **weights._asdict(), eta=proposal.eta,
         lam=lam, lam_samples=lam, margin=STATED_MARGIN, solver=proposal.solver, graph=proposal.graph, P=P,
     )  # fmt: skip
-    verdict = judged_while_sought(made.content, FAMILY_CLAIM, LONGEST_PROOF)
+    verdict = judged_while_sought(made.content, FAMILY_CLAIM, min(longest, LONGEST_PROOF))
     if not verdict.passed:
         raise UndecidedError(
             f"undecided: the proof of the certificate did not close: {verdict.reason}.",

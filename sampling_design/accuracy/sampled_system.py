@@ -29,6 +29,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 
 PANEL = 0.125  # length of a panel times the pace of A in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose at first
+MOST_CELLS = 2**14  # of a gap, however often the plant turns in it: an adversary's, which may be coarser
 BETWEEN = (0.2360, 0.6180)  # shares of a gap at which the outputs are looked at for the sizes of what its samples hide
 CONTRACTED = 0.03  # samples are added until the filter's error forgets all but this share of its past
 
@@ -67,11 +68,11 @@ class GapDynamics:
 
     @cached_property
     def _cut(self) -> tuple[Array, Array]:
-        """Edges and integrals of cells so short that delta^2/24 |M''|/|M| <= loss."""
+        """Edges and integrals of cells so short that delta^2/24 |M''|/|M| <= loss, or the most."""
         s, ahead = np.linspace(0.0, self.length, len(self.flow.propagated)), self.back.T
         rate = cell_rate(ahead @ self.flow.propagated, ahead @ self.flow.bend, self.loss)
         marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
-        number = max(2, int(np.ceil(marks[-1])))
+        number = int(np.clip(np.ceil(marks[-1]), 2, MOST_CELLS))
         even = np.linspace(0.0, s[-1], number + 1)
         edges = np.unique(np.interp(np.linspace(0.0, marks[-1], number + 1), marks, s)) if marks[-1] > 0 else even
         edges[0], edges[-1] = 0.0, s[-1]

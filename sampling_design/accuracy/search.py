@@ -37,6 +37,7 @@ TOLERANCE, ROUGH = 1e-7, 1e-5  # asked of the solver: what both sides prove is s
 DIGITS, LARGEST = 0.02, 1e-4  # share of a bracket's width that a large program's two sides may part by, and the most
 LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
 LONGEST = 4096  # samples back beyond which the past is not followed
+LARGEST_WINDOW = 2**19  # entries of flows and cells of w along a window beyond which it is not, either: a GB
 FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
 
 CLOSER = 0.1
@@ -115,7 +116,8 @@ class GainSearch:
         key = (j, count, from_zero, rough, lasting, repeats)
         if key not in self._windows:
             system = self._coarse if rough else self.system
-            nodes, start = self.past(j, count, from_zero)
+            each = max((gap.F.size + gap.cells.size for gap in system.gaps), default=1)
+            nodes, start = self.past(j, min(count, max(LARGEST_WINDOW // each, 1)), from_zero)
             begun = (system.repeating(nodes[0]) if repeats else system.lasting) if lasting else None
             tolerance = ROUGH if rough and self.follows and not from_zero else TOLERANCE
             self._windows[key] = ConeWindow(system, nodes, start, tolerance, begun, self._few_digits)

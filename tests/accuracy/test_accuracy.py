@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy import search
+from sampling_design.accuracy import sampled_system, search
 from sampling_design.accuracy import witness as witnessing
+from sampling_design.accuracy.adversary_program import ConeWindow
 from sampling_design.accuracy.bounded_directions import GapProof
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.errors import ArgumentError
@@ -534,3 +535,28 @@ def test_rows_without_bound_verify_over_several_periods():
     assert found.verify()
     lost = sd.guaranteed_accuracy(hidden, sd.PeriodicSchedule([1.0] * 3), w_bound=0.1, v_bound=0.1, of="x2")
     assert lost.verify()
+
+
+def test_however_often_a_plant_turns_in_a_gap_no_program_outgrows_memory(monkeypatch):
+    """A slip of six digits in an entry asked for 15 GB: a gap has so many cells at most, a window so many entries."""
+    windows = []
+
+    class Window(ConeWindow):
+        def __init__(self, *given, **others):
+            super().__init__(*given, **others)
+            windows.append((self.entries, max(len(gap.cells) for gap in self._gaps)))
+
+    plant = sd.Plant([[0.0, 30.0], [-30.0, -0.05]], [[1.0, 0.0]])
+    asked = plant, sd.PeriodicSchedule([1.0])
+    bounds = {"w_bound": 0.2, "v_bound": 0.2, "rtol": 0.1}
+    whole = sd.guaranteed_accuracy(*asked, **bounds)
+    monkeypatch.setattr(search, "ConeWindow", Window)
+    monkeypatch.setattr(search, "LARGEST_WINDOW", 1000)
+    monkeypatch.setattr(sampled_system, "MOST_CELLS", 32)
+    found = sd.guaranteed_accuracy(*asked, **bounds)
+    assert np.all(found.lower <= whole.upper)
+    assert np.all(whole.lower <= found.upper)
+    assert found.verify()
+    entries, cells = np.transpose(windows)
+    assert max(entries) <= 1000
+    assert max(cells) == 32

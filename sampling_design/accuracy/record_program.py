@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -92,7 +92,7 @@ class RecordProgram:
         self._found: dict[tuple[int, str], tuple[Array | None, float]] = {}
         self._run_back: tuple[tuple[bytes, int], Array] | None = None
         self._asked: tuple[tuple[float, bytes], tuple[Array, float]] | None = None
-        self._nominal_at = lru_cache(maxsize=1)(readings.nominal_at)
+        self._nominal = math.nan, np.zeros(0)  # the time asked for last, and that state then
 
     @cached_property
     def _quadrature(self) -> DisturbanceQuadrature:
@@ -434,12 +434,13 @@ class RecordProgram:
             return self._upper(t, row, gains)
 
     def _upper(self, t: float, row: Array, gains: Array) -> RowEnd:
-        c, added = self._ahead(t, row)
+        (c, added), read = self._ahead(t, row), self.readings
         residuals, start, w, v, rounded = self.costs(c, gains)
-        nominal = self._nominal_at(t)
+        if self._nominal[0] != t:
+            self._nominal = t, read.nominal_at(t)
+        nominal = self._nominal[1]
         exact = added + start + w + v
         width = exact * (1 + ROUNDING)
-        read = self.readings
         terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         ahead = self.table.open(t - read.times[-1]).third.size if t > read.times[-1] else 0
         held = (self._rounded + FLOW_HELD * ahead) * float(terms) + rounded

@@ -111,13 +111,13 @@ class GainSearch:
         return nodes, InitialSet.box(known)
 
     def window(self, j: int, count: int, from_zero: bool, rough: bool = True, lasting: bool = False) -> ConeWindow:
-        """The window of `count` samples that ends with sample j."""
-        repeats = lasting and self._repeats and not rough
+        """The window of `count` samples, or the most, that ends with sample j."""
+        repeats, system = lasting and self._repeats and not rough, self._coarse if rough else self.system
+        each = max((gap.F.size + gap.cells.size for gap in system.gaps), default=1)
+        count = min(count, max(LARGEST_WINDOW // each, 1))
         key = (j, count, from_zero, rough, lasting, repeats)
         if key not in self._windows:
-            system = self._coarse if rough else self.system
-            each = max((gap.F.size + gap.cells.size for gap in system.gaps), default=1)
-            nodes, start = self.past(j, min(count, max(LARGEST_WINDOW // each, 1)), from_zero)
+            nodes, start = self.past(j, count, from_zero)
             begun = (system.repeating(nodes[0]) if repeats else system.lasting) if lasting else None
             tolerance = ROUGH if rough and self.follows and not from_zero else TOLERANCE
             self._windows[key] = ConeWindow(system, nodes, start, tolerance, begun, self._few_digits)

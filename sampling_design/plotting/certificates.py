@@ -72,14 +72,16 @@ def _losses(result: Robustness, ax: Axes) -> Axes:
 
 
 def _heights(result: Robustness, lams: Sequence[float]) -> list[float]:
-    """Lambdas to draw; where none was found, a mark above the limit."""
-    return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
+    """Lambdas to draw; where none was found, a mark above the limit, or above all others where that is no number."""
+    top = result.limit if np.isfinite(result.limit) else max(filter(np.isfinite, lams), default=1.0)
+    return [lam if np.isfinite(lam) else 1.5 * top for lam in lams]
 
 
 def _limit(result: Robustness, ax: Axes) -> None:
     unit = result.certificate.plant.time_unit or ""
     label = f"limit of the horizon {short(result.length, 4)} {unit}".rstrip()
-    ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
+    if np.isfinite(result.limit):
+        ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
     style.log_axis(ax)
     low, high = ax.get_ylim()
     ax.set_ylim(low / 1.2, high * 1.2)

@@ -8,7 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, plotting
-from sampling_design.certificates.compare.robustness import RobustnessSearch
+from sampling_design.certificates.compare.robustness import FamilyTrial, RobustnessSearch
 from sampling_design.certificates.families import program
 from sampling_design.certificates.families.certify_family import FamilySearch, certified
 from sampling_design.errors import ArgumentError, UndecidedError
@@ -65,6 +65,13 @@ def test_what_no_proof_closes_for_has_not_survived(monkeypatch, planned, found):
 def test_a_horizon_that_no_double_grows_over_bears_every_certificate(planned):
     found = sd.robustness(OSCILLATOR, planned, horizon=1e19, longest=2, budget=0.2)
     assert found.limit == np.inf
+    none = FamilyTrial(sd.Jitter(planned.schedule, 0.45), np.inf, False)
+    axes = np.ravel(replace(found, trials=(*found.trials, none)).plot())
+    labels = [text for ax in axes for text in ax.get_legend_handles_labels()[1]]
+    assert any("not proven" in text for text in labels)
+    assert not any("limit" in text for text in labels)
+    assert all(np.isfinite(line.get_ydata()).all() for ax in axes for line in ax.lines)
+    assert found.to_dict()["limit"] is None
 
 
 def test_the_certificate_of_a_family_is_sent_to_that_of_a_schedule(found):

@@ -230,7 +230,7 @@ class BoundedDirections:
         return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))
 
 
-class AskedDirections(Sequence[BoundedDirections], ABC):
+class LazyDirections(Sequence[BoundedDirections], ABC):
     """Bounded directions of many nodes, each worked out when it is asked for."""
 
     def __init__(self, count: int):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sampling_design.accuracy.bounded_directions import AskedDirections, BoundedDirections
+from sampling_design.accuracy.bounded_directions import BoundedDirections, LazyDirections
 from sampling_design.accuracy.bounds import EXACT, InitialSet, SignalBounds, noise_units
 from sampling_design.accuracy.gains import Integral, path_bounds
 from sampling_design.accuracy.gap_table import GapTable, state_scales
@@ -106,7 +106,7 @@ def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Ar
     return np.asarray(np.linalg.inv(information))
 
 
-class FiniteDirections(AskedDirections):
+class FiniteDirections(LazyDirections):
     """What the samples up to each node determine, with bounds from the filter's gains: these when they are asked for.
 
     `given` are bounds on |z| after the first samples, where something else bounds all of it there. Raises

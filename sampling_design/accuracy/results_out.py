@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.accuracy.bounded_directions import AskedDirections, BoundedDirections
+from sampling_design.accuracy.bounded_directions import BoundedDirections, LazyDirections
 from sampling_design.accuracy.finite import determined_at
 from sampling_design.accuracy.gains import ROUNDING, followed_back, path_bounds
 from sampling_design.accuracy.sampled_system import KnownSpan, MeasurementModel, SampledSystem
@@ -70,7 +70,7 @@ def with_results_out(system: SampledSystem, delays: Array) -> SampledSystem:
     )
 
 
-class NodeBounds(AskedDirections):
+class NodeBounds(LazyDirections):
     """What bounds the nodes of a system, of those too of which some results are out: these when they are asked for."""
 
     def __init__(self, system: SampledSystem, directions: Sequence[BoundedDirections]):

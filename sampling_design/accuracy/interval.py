@@ -13,9 +13,10 @@ import numpy.typing as npt
 from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.disproof import Disproof, disprove, program_of
-from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
+from sampling_design.accuracy.readings import Arrived, Readings
 from sampling_design.accuracy.record_program import DISPROVED, RecordProgram
 from sampling_design.accuracy.record_readings import beginning, left_out, read_record
+from sampling_design.accuracy.record_rows import arrived
 from sampling_design.accuracy.undetectable import OTHER_STATES, modes_with
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
@@ -321,7 +322,8 @@ def state_interval(
     Raises
     ------
     ArgumentError
-        If a bound is missing or of another shape, the record is empty or not in order, or `t` lies before its start.
+        If a bound is missing or of another shape, the record is empty or not in order, a row of it says nothing or what
+        another one of its time contradicts, or `t` lies before its start.
 
     Notes
     -----
@@ -344,19 +346,18 @@ def state_interval(
     >>> found.lower.round(6), found.upper.round(6)
     (array([1.2]), array([1.4]))
     """
-    items, at = rows_of(record, plant), None if t is None else checks.number("t", t)
+    items, at = arrived(record, plant), None if t is None else checks.number("t", t)
     readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time, at)
     rows = requested_rows(plant, of)
     at = float(readings.times[-1]) if at is None else at
     if outliers == 0:
         return prove(RecordProgram(readings), at, rows)
-    every = arrived(items, plant)
-    begun = beginning(every) if prior_time is None else prior_time
-    samples = [k for k, row in enumerate(every) if row.censored or (row.y is not None and np.isfinite(row.y).any())]
+    begun = beginning(items) if prior_time is None else prior_time
+    samples = [k for k, row in enumerate(items) if row.y is not None]
     cases = []
     for out in left_out(outliers, len(samples)):
         gone = {samples[k] for k in out}
-        rest = [(every[k].t, None, every[k].u) if k in gone else item for k, item in enumerate(items)]
+        rest = [row._replace(y=None, censored=()) if k in gone else row for k, row in enumerate(items)]
         noise = np.delete(np.asarray(v_bound), out, axis=0) if np.ndim(v_bound) == 2 else v_bound  # type: ignore[arg-type]
         read = read_record(plant, rest, w_bound, noise, initial_error, prior, begun, at)
         cases.append(prove(RecordProgram(read), at, rows))

@@ -7,12 +7,12 @@ interval began, which is set to zero there.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from operator import itemgetter
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +28,6 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 
 Arrived = tuple[float | tuple[float, float], object, npt.ArrayLike | None]
-
-
-Row = TypeVar("Row")
 
 
 class RowReading(NamedTuple):
@@ -447,53 +444,3 @@ class RecordRow(NamedTuple):
     y: Any = None
     u: Any = None
     censored: tuple[CensoredReading, ...] = ()
-
-
-def arrived(items: Iterable[object], plant: Plant) -> list[RecordRow]:
-    """Return the rows (t, y, u) of a record, checked one by one.
-
-    Raises ArgumentError if a row has another form or number of outputs, or an output is infinite.
-    """
-    return [_arrived(item, plant.n_outputs) for item in rows_of(items, plant)]
-
-
-def refuse_truth(record: object) -> None:
-    """Raise ArgumentError of a record whose truth is known: an estimator takes what was measured of it."""
-    if hasattr(record, "measurements"):
-        raise ArgumentError(
-            f"`record` must hold rows (t, y, u), got {type(record).__name__}. Give its `.measurements`."
-        )
-
-
-def rows_of(record: Iterable[Row], plant: Plant, origin: str = "") -> list[Row]:
-    """Return the rows of a record as they came, those with dates as they count from `origin`, if it is known.
-
-    Raises ArgumentError of a frame, since it does not say the date of time 0, and as `Measurements.on_clock`.
-    """
-    refuse_truth(record)
-    if hasattr(record, "columns"):
-        raise ArgumentError(
-            "`record` must hold rows (t, y, u), got a frame: give it as `read_measurements(frame, plant)`, which also "
-            "takes the date of time 0."
-        )
-    moved: Callable[[str, Plant], Iterable[Row]] | None = getattr(record, "on_clock", None)
-    return list(record if moved is None else moved(origin, plant))
-
-
-def _arrived(item: object, p: int) -> RecordRow:
-    item = checks.entries("record", item, (2, 3), "rows (t, y, u)")
-    (t, span), u = time_or_span(item[0]), item[2] if len(item) == 3 else None
-    if span is not None and (u is not None or item[1] is None):
-        raise ArgumentError(f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings.")
-    if item[1] is None:
-        return RecordRow(t, None, u)
-    plain, limits = with_censored(item[1], p)
-    try:
-        y = np.asarray(plain, dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError):
-        y = np.full(p + 1, np.nan)
-    if y.size != p or np.isinf(y).any():
-        raise ArgumentError(f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}.")
-    if span is not None:
-        return RecordRow(t, np.full(p, np.nan), u, at_some_time(y, limits, span))
-    return RecordRow(t, y, u, limits)

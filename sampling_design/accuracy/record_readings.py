@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -15,12 +15,10 @@ import numpy.typing as npt
 from sampling_design.accuracy.bounds import Bound, BoundedSet, SignalBounds
 from sampling_design.accuracy.dated_start import resolved, start_of_dated
 from sampling_design.accuracy.readings import (
-    Arrived,
     CensoredReading,
     Readings,
     RecordRow,
     RowReading,
-    arrived,
     censored_rows,
     input_at,
 )
@@ -56,7 +54,7 @@ Rows: TypeAlias = list[tuple[float, tuple[RowReading, ...]]]
 
 def read_record(
     plant: Plant,
-    record: Iterable[Arrived],
+    items: Sequence[RecordRow],
     w_bound: Bound,
     v_bound: Bound,
     initial_error: VectorBound,
@@ -64,12 +62,11 @@ def read_record(
     prior_time: float | None,
     also: float | None = None,
 ) -> Readings:
-    """Return what a record says of a plant under bounds as typed by a user; `also` becomes one of its times.
+    """Return what rows of a record say of a plant under bounds as typed by a user; `also` becomes one of its times.
 
     Raises ArgumentError if the record is empty or not in order, or a bound is missing or of another shape.
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
-    items = arrived(record, plant)
     spans, begun = any(each.stamp for item in items for each in item.censored), beginning(items)
     start = begun if prior_time is None else checks.number("prior_time", prior_time)
     samples, inputs = _in_order(plant, items, start)
@@ -158,20 +155,14 @@ def _in_order(
     samples: list[RecordRow] = []
     inputs: list[tuple[float, Array]] = []
     for item in items:
-        t = item.t
-        if t < now:
+        if item.t < now:
             raise ArgumentError(
-                f"`record` must be in order of time and not begin before `prior_time`, got {t!r} after {now!r}."
+                f"`record` must be in order of time and not begin before `prior_time`, got {item.t!r} after {now!r}."
             )
-        now = t
+        now = item.t
         if item.u is not None and plant.n_inputs:
-            u = np.array(checks.vector("u", item.u, plant.n_inputs))
-            if inputs and inputs[-1][0] == t:
-                inputs.pop()
-            inputs.append((t, u))
-        if item.y is None or not (item.censored or np.isfinite(item.y).any()):
-            continue
-        if samples and t == samples[-1].t:
-            raise ArgumentError(f"`record` measures twice at {t!r}. Put both into one row.")
-        samples.append(item._replace(y=item.y - plant.D @ u))
+            u = item.u
+            inputs.append((now, u))
+        if item.y is not None:
+            samples.append(item._replace(y=item.y - plant.D @ u))
     return samples, tuple(inputs)

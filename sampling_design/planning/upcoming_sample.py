@@ -10,7 +10,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, PartialReading, rows_of, with_censored
+from sampling_design.accuracy.readings import CensoredReading, PartialReading, with_censored
+from sampling_design.accuracy.record_rows import rows_of
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDeadline

@@ -1,16 +1,18 @@
 """What the data prove: against programs on a fine grid, its proofs, contradictions, and what is refused."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy import record_program
-from sampling_design.accuracy.interval import prove, read_record, state_interval
+from sampling_design.accuracy.interval import prove, state_interval
 from sampling_design.accuracy.readings import BelowDetection, CompositeReading
 from sampling_design.accuracy.record_program import RecordProgram
+from sampling_design.accuracy.record_readings import read_record
+from sampling_design.accuracy.record_rows import arrived
 from sampling_design.accuracy.unknown_start import NEAR, FreeStart
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.rows import requested_rows
@@ -146,7 +148,7 @@ def test_cells_of_half_the_size_where_they_suffice_prove_what_smaller_ones_do(mo
     for multiple, levels in ((record_program.HALVED, {0, 1}), (1.0, {0, 2})):
         monkeypatch.setattr(record_program, "HALVED", multiple)
         columns.clear()
-        program = RecordProgram(read_record(OSCILLATOR, record, 2.0, 0.1, None, None, None))
+        program = RecordProgram(read_record(OSCILLATOR, arrived(record, OSCILLATOR), 2.0, 0.1, None, None, None))
         solved[multiple] = program.solve(14.3, np.eye(2))
         assert set(columns) == levels
     for halved, finer in zip(*solved.values(), strict=True):
@@ -160,7 +162,7 @@ def test_only_the_latest_gaps_of_a_long_record_get_finer_cells(monkeypatch):
     """All of them took a solver's memory many times over, for gaps of which the gains take almost nothing."""
     record = [(2.0 * k, [np.sin(2.0 * k)], None) for k in range(100)]
     columns = counted_columns(monkeypatch)
-    program = RecordProgram(read_record(OSCILLATOR, record, 2.0, 0.1, None, None, None))
+    program = RecordProgram(read_record(OSCILLATOR, arrived(record, OSCILLATOR), 2.0, 0.1, None, None, None))
     ends = program.solve(198.0, np.eye(2))
     assert len(columns) > 1
     assert max(columns.values()) < 1.2 * columns[0]
@@ -173,7 +175,7 @@ def test_one_row_is_two_programs_and_little_beside():
     A[:2, :2], A[2:, 2:] = [[0, 1], [-1, 0]], [[0, 1], [-2.3, 0]]
     plant = sd.Plant(A, [[1.0, 0.0, 1.0, 0.0]])
     record = [(t, [np.sin(t)], None) for t in np.cumsum(np.random.default_rng(0).uniform(0.3, 1, 20))]
-    program, taken = RecordProgram(read_record(plant, record, 0.05, 0.5, None, None, None)), []
+    program, taken = RecordProgram(read_record(plant, arrived(record, plant), 0.05, 0.5, None, None, None)), []
     for _ in range(10):
         for row in np.eye(4):
             with Counted().running() as clock:
@@ -187,9 +189,7 @@ def test_one_row_is_two_programs_and_little_beside():
     [
         ([], {}, "`record` must hold at least one measurement"),
         ([(1.0, [1.0], None), (0.5, [1.0], None)], {}, "`record` must be in order of time"),
-        ([(1.0, [1.0], None), (1.0, [1.0], None)], {}, "`record` measures twice at 1.0"),
         ([1.0], {}, "`record` must hold rows"),
-        ([(1.0, [1.0, 2.0], None)], {}, "`record` must hold 1 outputs a sample"),
         (RECORD, {"t": 0.5}, "`t` must not lie before the start"),
         (RECORD, {"initial_error": [-1.0, 1.0]}, "`initial_error` must not be negative"),
         (RECORD, {"v_bound": None}, "`v_bound` is missing"),
@@ -198,6 +198,43 @@ def test_one_row_is_two_programs_and_little_beside():
 def test_bad_input_is_refused(record, change, match):
     with pytest.raises(ArgumentError, match=match):
         state_interval(OSCILLATOR, record, **(GIVEN | change))
+
+
+FED = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], B=[[0.0], [1.0]], D=[[0.5], [0.0]])
+FED_BOUNDS = {"w_bound": 0.1, "v_bound": 0.3, "initial_error": 2.0, "prior_time": 0.0}
+
+
+@pytest.mark.parametrize("last", [1.0, BelowDetection(0.5)], ids=["number", "limit"])
+def test_rows_of_one_time_are_one_sample_in_whatever_order_and_however_often_they_come(last):
+    nothing = np.nan
+    whole = [(0.0, [0.2, nothing], [1.0]), (1.0, [1.1, last], [2.0])]
+    parts = [(1.0, [nothing, last], None), (1.0, None, [2.0]), (1.0, [1.1, nothing], None)]
+    expected = state_interval(FED, whole, **FED_BOUNDS)
+    for order in list(permutations([*parts, parts[0]]))[::5]:
+        record = [whole[0], *order]
+        mhe = sd.MovingHorizonEstimator(FED, horizon=5.0, **FED_BOUNDS)
+        for found in (state_interval(FED, record, **FED_BOUNDS), mhe.run(record)[-1].interval()):
+            np.testing.assert_allclose([found.lower, found.upper], [expected.lower, expected.upper], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        (1.0, None, None), (1.0, [np.nan, np.nan], None), (1.0, [np.nan, np.nan], [1.0]), (1.0, [np.inf, 0.0], None),
+        (1.0, [0.1], None), (1.0, [[0.1, 0.2]], None), (1.0, ["<0.5", 0.1], None), (1.0, [0.1, 0.1], [np.nan]),
+        (1.0, [0.1, 0.1], [1.0, 2.0]), (np.nan, [0.1, 0.1], None), ((1.0, 2.0), [np.nan, np.nan], None),
+        ((1.0, 2.0), [0.1, 0.1], [1.0]), (0.5, [0.3, np.nan], None), (0.5, None, [3.0]),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_what_is_no_row_is_refused_in_the_same_words_by_all_who_read_a_record(row):
+    record = [(0.5, [0.2, 0.1], [1.0]), row, (3.0, [0.1, 0.1], None)]
+    mhe, of_rows = sd.MovingHorizonEstimator(FED, horizon=5.0, **FED_BOUNDS), []
+    for takes in (lambda: state_interval(FED, record, **FED_BOUNDS), lambda: mhe.run(record)):
+        with pytest.raises(ArgumentError) as refused:
+            takes()
+        of_rows.append(str(refused.value))
+    assert of_rows[0] == of_rows[1]
 
 
 def test_what_nothing_shows_is_unbounded_and_named():
@@ -224,7 +261,7 @@ def test_rows_that_no_reading_shows_take_one_program_together(monkeypatch, contr
     if contradicted:  # a second output that shows the same
         plant = sd.Plant(plant.A, np.vstack([plant.C, plant.C]))
         record = [(t, [y, y + 1.0], None) for t, (y,), _ in record]
-    program = RecordProgram(read_record(plant, record, 0.05, 0.1, None, None, None))
+    program = RecordProgram(read_record(plant, arrived(record, plant), 0.05, 0.1, None, None, None))
     solver, asked = program.posed().solver, []
     own = solver.solve
     monkeypatch.setattr(solver, "solve", lambda *given: asked.append(1) or own(*given))
@@ -292,7 +329,7 @@ def test_both_sides_meet_where_states_have_grown_far_beyond_what_is_known_of_the
     for t in np.cumsum(rng.uniform(0.3, 0.9, 12)):
         x, now = plant.transition(t - now) @ x, float(t)
         record.append((now, x[:1] + rng.choice([-0.05, 0.05]), None))
-    readings = read_record(plant, record, 0.02, 0.05, known, None, 0.0)
+    readings = read_record(plant, arrived(record, plant), 0.02, 0.05, known, None, 0.0)
     program = RecordProgram(readings)
     for row in np.eye(2):
         ((up, down),) = program.solve(now, row[None])
@@ -317,7 +354,7 @@ def test_what_decays_fast_is_as_unknown_as_anything_else_at_a_start_of_which_not
         assert found.centre == pytest.approx([1 - np.exp(-0.1)], rel=1e-4)
     assert found.radii[0] >= (late + 0.01) * (1 - 1e-6)
     assert found.verify(rigorous=True)
-    ignored = RecordProgram(read_record(plant, record, 0.0, [10.0, 0.01], None, None, None))
+    ignored = RecordProgram(read_record(plant, arrived(record, plant), 0.0, [10.0, 0.01], None, None, None))
     slow = np.array([0.0, 1.0])  # the second reading taken for one of the slow state, as if the fast one were gone
     assert ignored.upper(1.0, slow, np.array([0.0, 1.0])).value == np.inf
 

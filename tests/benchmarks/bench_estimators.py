@@ -21,6 +21,7 @@ from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, P
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.record_readings import read_record
+from sampling_design.accuracy.record_rows import arrived
 from sampling_design.estimators.constraints.qp import problem_as_written
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.window.smoother import information_band, solve_banded, solve_square_root
@@ -141,10 +142,10 @@ def recorded(count=20):
 
 def test_interval_posed(benchmark):
     record = recorded()
-    known = RecordProgram(read_record(PLANT, record, 0.05, 0.5, None, None, None)).table
+    known = RecordProgram(read_record(PLANT, arrived(record, PLANT), 0.05, 0.5, None, None, None)).table
 
     def posed():
-        program = RecordProgram(read_record(PLANT, record, 0.05, 0.5, None, None, None), known)
+        program = RecordProgram(read_record(PLANT, arrived(record, PLANT), 0.05, 0.5, None, None, None), known)
         return program.posed()
 
     assert benchmark(posed).columns > 0
@@ -152,7 +153,7 @@ def test_interval_posed(benchmark):
 
 def test_interval_of_one_row(benchmark):
     """Both ends; the goal is two milliseconds on a quiet machine."""
-    program = RecordProgram(read_record(PLANT, recorded(), 0.05, 0.5, None, None, None))
+    program = RecordProgram(read_record(PLANT, arrived(recorded(), PLANT), 0.05, 0.5, None, None, None))
     ends = benchmark(program.solve, program.readings.times[-1], np.eye(4)[:1])[0]
     assert ends[0].value > -ends[1].value
 
@@ -160,7 +161,7 @@ def test_interval_of_one_row(benchmark):
 def ratios(rounds=300, count=8):
     """Median process times in seconds, rounds interleaved: the banded solver, updates, both ends of one row."""
     band, right = information_band(last_window()[1])
-    program = RecordProgram(read_record(PLANT, recorded(), 0.05, 0.5, None, None, None))
+    program = RecordProgram(read_record(PLANT, arrived(recorded(), PLANT), 0.05, 0.5, None, None, None))
     last = program.readings.times[-1]
 
     def updates(irregular, begins="horizon", **sets):

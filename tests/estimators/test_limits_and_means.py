@@ -261,8 +261,13 @@ def test_an_output_has_one_reading_at_a_time_whatever_kind_it_is_of(first, late)
             whole = joined.update(*row)
         np.testing.assert_allclose(mhe.predict(2.0).x, joined.predict(2.0).x, rtol=0, atol=1e-12)
         assert whole.certified
-        with pytest.raises(ArgumentError, match=r"measures twice at 1\.0"):
-            state_interval(two, [(0.0, [0.3, 0.3]), (1.0, [first, np.nan]), (1.0, [second, np.nan])], **GIVEN)
+        twice = [(0.0, [0.3, 0.3]), (1.0, [first, np.nan]), (1.0, [second, np.nan])]
+        if first == second:
+            once, again = (state_interval(two, rows, **GIVEN) for rows in (twice[:2], twice))
+            np.testing.assert_array_equal([once.lower, once.upper], [again.lower, again.upper])
+        else:
+            with pytest.raises(ArgumentError, match=r"already given as .* and an output has one reading"):
+                state_interval(two, twice, **GIVEN)
 
 
 @pytest.mark.parametrize("nothing", [(0.1, np.inf), (-np.inf, np.inf), {"y1": np.inf}], ids=str)

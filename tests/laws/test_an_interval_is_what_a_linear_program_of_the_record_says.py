@@ -143,8 +143,8 @@ def test_what_data_at_the_edge_of_the_bounds_leave_is_no_wider(order, left):
     T, noise = 1.5, 0.125
     plant = Plant(np.diag(np.ones(order - 1), 1), np.eye(order)[:1], G=np.eye(order)[:, -1:])
     most = sum(T**k / math.factorial(k) for k in range(order)) + T**order / (2 * math.factorial(order))
-    record = [(0.0, [np.nan]), (T, [most + noise - left])]
-    bounds = {"w_bound": [0.5], "v_bound": noise, "initial_error": [1.0] * order}
+    record = [(T, [most + noise - left])]
+    bounds = {"w_bound": [0.5], "v_bound": noise, "initial_error": [1.0] * order, "prior_time": 0.0}
     found = state_interval(plant, record, of=np.eye(order)[:1], **bounds)
     ends = found.lower[0], found.upper[0]
     assert ends == pytest.approx((most - left, most), abs=WITHIN * left)

@@ -13,25 +13,22 @@ import numpy.typing as npt
 from sampling_design.accuracy.readings import (
     CensoredReading,
     RecordRow,
-    at_some_time,
-    refuse_truth,
     time_or_span,
-    with_censored,
 )
-from sampling_design.checkers.strict import is_list, is_number, is_text
+from sampling_design.accuracy.record_rows import merge, read_row, refuse_truth
+from sampling_design.checkers.strict import is_list, is_number
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputHistory
-from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
-from sampling_design.estimators.records.measurement_table import LIMITS, MeasuredPlant
+from sampling_design.estimators.online.same_time import corrected, corrected_inputs, with_input, without
+from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.estimators.records.measurements import Measurements, on_clock
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Progress
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import Displayable
 from sampling_design.records.signatures import checked_methods
 
@@ -188,32 +185,11 @@ class OnlineEstimator(Displayable, ABC):
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, state: EstimatorState, time: object, values: object, given: object) -> RecordRow:
-        t, span = (time, None) if type(time) is float and math.isfinite(time) else time_or_span(time)
-        self._refuse_too_late(t, state)
-        read, limits = (values, ()) if type(values) is np.ndarray else with_censored(values, self.plant.n_outputs)
-        y = None if read is None else self._check_y(read, t, bool(limits))
-        if span is not None:
-            if y is None or given is not None:
-                raise ArgumentError(
-                    f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings."
-                )
-            limits = at_some_time(y, limits, span)
-            y = freeze(np.full(len(y), np.nan))
-        if limits:
-            self._check_censored(state, t, limits)
-        if given is None:
-            if y is None:
-                raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
-            return RecordRow(t, y, None, limits)
-        plain = type(given) is np.ndarray and given.dtype == np.float64
-        u = np.array(given, ndmin=1) if plain else None
-        if u is not None and u.shape == (self.plant.n_inputs,) and math.isfinite(sum(u.tolist())):
-            u.flags.writeable = False
-            return RecordRow(t, y, u, limits)
-        u = np.atleast_1d(checks.floats("u", given))
-        if np.isnan(u).any():
-            raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
-        return RecordRow(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
+        sample = read_row(time, values, given, self.plant.n_outputs, self.plant.n_inputs)
+        self._refuse_too_late(sample.t, state)
+        if sample.censored:
+            self._check_censored(state, sample.t, sample.censored)
+        return sample
 
     def _refuse_too_late(self, t: float, state: EstimatorState) -> None:
         first, last = state.nodes[0], state.nodes[-1].t
@@ -232,29 +208,6 @@ class OnlineEstimator(Displayable, ABC):
         if limits[0].stamp is not None:
             raise ArgumentError(f"`t` = {limits[0].span!r} is uncertain: this estimator takes exact times only.")
         raise ArgumentError(f"`y` holds a limit or a mean at t = {t!r}: this estimator takes plain numbers only.")
-
-    def _check_y(self, value: object, t: float, limited: bool) -> Array:
-        try:
-            given = value if type(value) is np.ndarray else np.asarray(value)
-            if given.dtype.kind in "cUSO" and any(isinstance(each, (str, bytes, complex)) for each in given.flat):
-                raise TypeError
-            y = np.array(given, np.float64, ndmin=1)
-        except (TypeError, ValueError):
-            limit = " A limit of detection is BelowDetection(0.5) or AboveRange(8)." if _has_limit(value) else ""
-            raise ArgumentError(f"`y` must hold numbers, got {checks.described(value)} at t = {t!r}.{limit}") from None
-        p = self.plant.n_outputs
-        if y.shape != (p,):
-            raise ArgumentError(f"`y` must have {p} entr{'y' if p == 1 else 'ies'}, got shape {y.shape} at t = {t!r}.")
-        if not math.isfinite(sum(y.tolist())) and not np.isfinite(y).all():
-            if np.isinf(y).any():
-                raise ArgumentError(f"`y` must be finite or NaN (not measured), got {y.tolist()} at t = {t!r}.")
-            if np.isnan(y).all() and not limited:
-                raise ArgumentError(
-                    f"`y` must measure at least one output, got all NaN at t = {t!r}. "
-                    "Was the sample lost? Leave it out, or pass y=None if only the input changes."
-                )
-        y.setflags(write=False)
-        return y
 
     def update(self, t: float | tuple[float, float], y: object = None, u: object = None) -> Estimate:
         """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
@@ -419,11 +372,6 @@ class OnlineEstimator(Displayable, ABC):
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
         return EstimateRecord.collect(self.plant, found, self._dated)
-
-
-def _has_limit(value: object) -> bool:
-    """Whether readings hold a limit of detection as a file writes it, "<0.5"."""
-    return any(is_text(each) and each.strip()[:1] in LIMITS for each in (value if is_list(value) else [value]))
 
 
 def _touched(state: EstimatorState, t: float) -> list[int]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.accuracy.readings import CensoredReading, RecordRow, as_typed
+from sampling_design.accuracy.readings import RecordRow
+from sampling_design.accuracy.record_rows import readings_of_sample, same_input
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.history import EstimatorState, InputHistory
 
@@ -13,32 +14,10 @@ def with_input(state: EstimatorState, sample: RecordRow) -> EstimatorState:
     """Return the state that also knows the input from `sample.t` on."""
     at = state.inputs.before(sample.t)
     if at < len(state.inputs) and state.inputs[at][0] == sample.t:
-        t, u = state.inputs[at]
-        if not np.array_equal(u, sample.u):
-            raise ArgumentError(
-                f"`u` at t = {t!r} was already given as {u.tolist()}, got {sample.u.tolist()}: duplicates must agree."
-            )
+        same_input(*state.inputs[at], sample.u)
         return state
     reached = state.reached if at == len(state.inputs) else None
     return EstimatorState(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
-
-
-def merge(old: RecordRow, new: RecordRow) -> RecordRow | None:
-    """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
-    if new.y is None:
-        return old
-    before, now = readings_of_sample(old), readings_of_sample(new)
-    for output in before.keys() & now.keys():
-        if before[output] != now[output]:
-            raise ArgumentError(
-                f"`y` at t = {old.t!r} was already given as {as_given(old)}, got {as_given(new)}: duplicates must "
-                "agree, and an output has one reading at a time."
-            )
-    if new.u is None and now.keys() <= before.keys():
-        return None
-    y = np.where(np.isnan(old.y), new.y, old.y)
-    y.flags.writeable = False
-    return RecordRow(old.t, y, None, (*old.censored, *(each for each in new.censored if each.output not in before)))
 
 
 def corrected(old: RecordRow, new: RecordRow) -> RecordRow:
@@ -73,18 +52,3 @@ def corrected_inputs(inputs: InputHistory, sample: RecordRow) -> InputHistory:
     if at == len(inputs) or inputs[at][0] != sample.t:
         raise ArgumentError(f"`u` corrects an input at t = {sample.t!r}, where none was given. It is for update.")
     return InputHistory((*inputs[:at], (sample.t, sample.u), *inputs[at + 1 :]))
-
-
-def readings_of_sample(sample: RecordRow) -> dict[int, float | CensoredReading]:
-    """What a sample says of each output that it reads."""
-    found = {each.output: each.as_read for each in sample.censored}
-    y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
-    return y | found
-
-
-def as_given(sample: RecordRow) -> list[object]:
-    """What a sample says of each output, as a user gives it."""
-    values: list[object] = sample.y.tolist()
-    for each in sample.censored:
-        values[each.output] = as_typed(each)
-    return values

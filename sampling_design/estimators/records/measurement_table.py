@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from sampling_design.accuracy.readings import CensoredReading, at_some_time, time_or_span
+from sampling_design.accuracy.record_rows import LIMITS
 from sampling_design.checkers.strict import nearest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
@@ -24,7 +25,6 @@ from sampling_design.schedules.files import MARK, in_file
 Numbered = tuple[int, str]
 
 DATE_SLIP = "Write 2026-03-16 08:00: year, month, day; where a zone is known, its offset behind it: +01:00."
-LIMITS = {"<": "<", "≤": "<", ">": ">", "≥": ">"}  # signs before a limit of detection, and what they say
 BLOCK = 4096  # lines that are held as text at a time; what they say is held as numbers
 _MANY = -1  # stands for the line where the dates of many rows are read at once
 LONGEST_LINE = 100_000  # Characters; a longer line is read by itself, where a cell beyond all measure is refused

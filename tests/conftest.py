@@ -105,12 +105,22 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Examples(), "examples")
     alone = getattr(config.option, "dist", "no") == "no"
     worker = getattr(config, "workerinput", {})
+    for plugin in config.pluginmanager.get_plugins() if worker else ():
+        if hasattr(plugin, "sendevent"):
+            plugin.sendevent = functools.partial(sent, plugin.sendevent)
     if worker.get("everything") and int(worker["workerid"].removeprefix("gw")) % 2:
         # from the other end: what one process has compiled the other need not, 6 s on a fresh clone
         config.args[:1] = sorted(map(str, Path(__file__).parent.glob("[!._]*/")), reverse=True)
     rigour.register(config, runs_tests=alone)
     raised.register(config, runs_tests=alone)
     config.addinivalue_line("markers", "long: left out of a run of everything, and run by `--long`, as .ci/run does")
+
+
+def sent(send: Callable[..., None], name: str, **event: Any) -> None:
+    """Send what happened, but no report of a preparation that went well: two of three, which nobody counts."""
+    report = event.get("data", {})
+    if name != "testreport" or report["when"] == "call" or report["outcome"] != "passed":
+        send(name, **event)
 
 
 @pytest.hookimpl(optionalhook=True)

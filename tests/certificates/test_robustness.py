@@ -14,6 +14,7 @@ from sampling_design.certificates.families.certify_family import FamilySearch, c
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics import conic_programs
 from sampling_design.records.budget import Budget
+from tests.cases import few
 from tests.oracles.families import largest_lambda
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -193,7 +194,7 @@ def test_a_budget_that_runs_out_is_said(planned):
     assert "budget ran out" in str(found)
 
 
-@pytest.mark.parametrize("share", [0.5, 1.0])
+@pytest.mark.parametrize("share", few([0.5, 1.0], 1))
 def test_what_a_solver_leaves_of_matrices_when_time_is_up_ends_no_search(planned, monkeypatch, share):
     """Out of time it keeps to no cone: Cholesky's factor of what it left was a SolverError now and then."""
     solved, turned = program._solved, np.array([[1.0, 2.0], [2.0, 1.0]])

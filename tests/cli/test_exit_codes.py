@@ -43,7 +43,7 @@ MOMENTS = [
 """Seconds after the start, and after what searches is there."""
 
 
-@pytest.mark.parametrize(("loaded", "after", "number"), few(MOMENTS, 0, 4, 12, 13))
+@pytest.mark.parametrize(("loaded", "after", "number"), few(MOMENTS, 0, 4, 13))
 def test_an_interrupt_at_any_moment_is_130_without_a_traceback(loaded, after, number):
     """From the first line on: while numpy, scipy and the drawing load, and while the search runs."""
     command = ["design", str(SATELLITE), str(EXAMPLES / "requirements" / "satellite.toml"), "--branches", "100000"]

@@ -16,6 +16,7 @@ from sampling_design.design.problem.requirement_file import write_requirement
 from sampling_design.design.search.costs import relax_costly
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.numerics import conic_programs
+from tests.cases import few
 from tests.oracles.design import is_allowed, window_sigma_scan
 
 A = np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]])
@@ -82,7 +83,7 @@ HOURS = {"y1": {"price": 2.0, "available": [[0, 3]]}, "y2": {"price": 1.0, "avai
 @pytest.mark.parametrize("states", [0, 12])
 @pytest.mark.parametrize(
     ("plant", "limit", "more"),
-    [
+    few([
         (PLANT, 7.0, {}),
         (PLANT, 4.1, {}),
         (PLANT, 9.0, {"window": 8.0}),
@@ -92,7 +93,7 @@ HOURS = {"y1": {"price": 2.0, "available": [[0, 3]]}, "y2": {"price": 1.0, "avai
         (PLANT, 7.0, {"sensors": HOURS}),
         (PLANT, 5.0, {"sensors": {"y1": {"price": 2.0}, "y2": {"price": 0.0}}}),
         (THREE, 14.0, {"timing_tolerance": 0.02, "sensors": OUTPUTS | {"y3": {"price": 3.0}}}),
-    ],
+    ], 1, 3, 4, 7),
     ids=["any", "tight", "longer", "shorter", "fixed and closed", "all fixed", "hours", "one free", "three, late"],
 )  # fmt: skip
 def test_the_relaxation_is_that_of_a_weight_for_each_set_of_outputs(monkeypatch, states, plant, limit, more):

@@ -32,6 +32,7 @@ from sampling_design.uncertain.observability.bracket_varying import kept_flows
 from sampling_design.uncertain.observability.window_balls import WindowsOverBox
 from sampling_design.uncertain.plants import time_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+from tests.cases import few
 
 UNEVEN = sd.PeriodicSchedule([0.7, 1.0, 0.4])
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -124,7 +125,7 @@ def test_what_samples_measure_is_chosen_within_the_budget(pieces, monkeypatch):
     assert max(met) == met[-1] > 0
 
 
-@pytest.mark.parametrize("zones", [None, [(0.2, 0.5), (1.1, 1.6)]])
+@pytest.mark.parametrize("zones", few([None, [(0.2, 0.5), (1.1, 1.6)]], 1))
 def test_a_limit_says_something_of_every_row_however_early_it_ends(pieces, zones):
     """Each row had a system of its own, even once no time was left: eight seconds, and zeros but for one row."""
     rng = np.random.default_rng(6)

@@ -327,7 +327,7 @@ def test_the_start_of_a_plan_is_no_sample_that_keeps_its_first_one_away(known):
 
 @pytest.mark.parametrize(
     ("turn", "tolerance", "spacing", "breaks"),
-    [(2.2, 1.0, None, True), (0.7, 1.2, None, True), (1.5, 1.6, None, False), (1.5, 1.6, 1.0, False)],
+    few([(2.2, 1.0, None, True), (0.7, 1.2, None, True), (1.5, 1.6, None, False), (1.5, 1.6, 1.0, False)], 1, 3),
 )
 def test_no_time_is_said_to_be_soon_enough_before_which_a_sample_breaks_a_tolerance(turn, tolerance, spacing, breaks):
     """After a miss a swing is seen well a turn later, and badly before: "by" up to the plan's own sample alone."""

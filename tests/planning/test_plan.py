@@ -128,7 +128,7 @@ def test_a_poor_sample_that_need_not_be_taken_refuses_no_accuracy_after_samples(
         sd.plan_samples(level, worse, **BARE)
 
 
-@pytest.mark.parametrize("unit", [1e-11, 1e-5, 1e9])
+@pytest.mark.parametrize("unit", few([1e-11, 1e-5, 1e9], 0))
 def test_the_unit_of_prices_changes_no_plan_and_no_bound(unit):
     """Also where a relaxation leaves it open that there is a sample at all, after which something is wanted."""
     A = [[-0.6, 3.0, 0.56], [-4.9, -1.2, -0.58], [1.9, 0.45, -0.46]]
@@ -306,9 +306,14 @@ def test_spacing_and_limits_are_kept():
 
 
 @pytest.mark.parametrize(
-    "limits", [{"spacing": 8.0}, {"samples": 1}, {"cost_limit": 3.0}, {"samples": 1, "visit_price": 5.0}]
+    ("tolerance", "limits"),  # which all times do not keep, and which they do
+    few(
+        product(
+            [0.15, 0.25], [{"spacing": 8.0}, {"samples": 1}, {"cost_limit": 3.0}, {"samples": 1, "visit_price": 5.0}]
+        ),
+        *(0, 5, 6),
+    ),
 )
-@pytest.mark.parametrize("tolerance", [0.15, 0.25])  # which all times do not keep, and which they do
 def test_what_limits_leave_no_plan_for_is_refused_with_what_they_allow(tolerance, limits):
     plant, sensors = sd.Plant([[0.0]], [[1.0]], states=["level"]), {"y1": {"noise_bound": 0.1, "price": 3.0}}
     given = {"period": 8.0, "grid": 1.0, "w_bound": 0.1, "sensors": sensors, "aim": "cheapest", **limits}

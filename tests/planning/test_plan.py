@@ -82,11 +82,12 @@ def test_a_plan_that_says_more_than_its_proof_is_refused(cheapest):
 
 
 def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
+    given = {**GIVEN, "grid": 0.4}
     with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time") as refused:
-        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN), **BARE)
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **given), **BARE)
     nearest = refused.value.nearest["position"]
-    assert 0.2 < nearest < 0.25  # a look at every step: noise 0.2 and what w does in between
-    both = sd.PlanRequirement({"position": 0.1, "velocity": 0.9}, **GIVEN)
+    assert 0.25 < nearest < 0.26  # a look at every step: noise 0.2 and what w does in between
+    both = sd.PlanRequirement({"position": 0.1, "velocity": 0.9}, **given)
     with pytest.raises(InfeasibleRequirementError, match=r"at best position 0.2\d+ instead of 0.1 could be") as refused:
         sd.plan_samples(OSCILLATOR, both, **BARE)
     assert refused.value.nearest == {"position": nearest, "velocity": 0.9}  # what holds already is left as it is

@@ -29,9 +29,8 @@ ConeRows = tuple[str, Array | sparse.csc_matrix, Array]
 MARGIN = 2e-4  # relative margin of every inequality on the grid at first; room for the proof between the grid points
 WIDER, WIDEST = 10.0, 0.05
 """Factor on the margin where that room was too small for the proof's steps, and the largest margin that is tried."""
-LEAST_POINTS, LEAST_POINTS_GIVEN = 5, 3
 POINTS_PER_RADIAN, POINTS_PER_RADIAN_GIVEN = 3.0, 1.0
-"""Grid points per unit of |A + eta/2| h (spectral radius) at first; the proof adds those that were missing.
+"""Grid points per unit of |A + eta/2| h (spectral radius) at first, two at least; the proof adds those that it missed.
 Where P2 is given, one program is solved and not a bisection of them: few do (thrice as many: thrice the memory)."""
 MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
@@ -44,7 +43,7 @@ MOST_KEPT = 1e3
 """Information beyond so many times the nominal schedule's is not looked for: of what decays and nothing drives there is
 no most."""
 LEAST_SLACK = 1e-9  # a point counts only if the solver reached at least this slack; the tolerance asked of it
-SPARSE = 50_000
+SPARSE = 20_000
 """Numbers in the rows of an edge or node from which on zeros are left out: a long schedule's took gigabytes."""
 
 
@@ -240,12 +239,14 @@ class FamilyProgram:
 def between(ratio: float, missing: float, room: float, rtol: float) -> float:
     """Where lambda is tried next, between 1 and `ratio`: beside the root of the slack, on the side of its farther end.
 
-    In the middle (geometric) where the slack of the lower end is not known. Slack is about linear in ln lambda.
+    Slack is about linear in ln lambda. Where that of the lower end, 1, is not known, ln lambda is squared, down to the
+    width that is asked for: where the rate is slow and gaps are short the least lambda is hardly above 1.
     """
-    width, at = np.log(ratio), 0.5
-    if missing < 0:
-        at = missing / (missing - room)
-        at += np.copysign(ASIDE * np.log1p(rtol) / width, 0.5 - at)
+    width = np.log(ratio)
+    if missing == 0:
+        return float(np.exp(max(np.log1p(rtol), min(width / 2, width**2))))
+    at = missing / (missing - room)
+    at += np.copysign(ASIDE * np.log1p(rtol) / width, 0.5 - at)
     return float(np.exp(width * np.clip(at, LEAST_PART, 1 - LEAST_PART)))
 
 
@@ -271,6 +272,6 @@ def _grid(dynamics: StepDynamics, low: float, high: float, few: bool) -> list[fl
     if high <= low:
         return [low]
     speed = float(np.abs(np.linalg.eigvals(dynamics.A)).max(initial=0.0)) + dynamics.eta / 2
-    density, least = (POINTS_PER_RADIAN_GIVEN, LEAST_POINTS_GIVEN) if few else (POINTS_PER_RADIAN, LEAST_POINTS)
-    count = int(np.clip(np.ceil(density * speed * (high - low)) + 1, least, MOST_POINTS))
+    density = POINTS_PER_RADIAN_GIVEN if few else POINTS_PER_RADIAN
+    count = min(int(np.ceil(density * speed * (high - low))) + 1, MOST_POINTS)
     return [float(v) for v in np.linspace(low, high, count)]

@@ -20,7 +20,8 @@ from tempfile import mkdtemp
 import numpy as np
 
 import sampling_design as sd
-from sampling_design import estimators, plotting, schedules
+from sampling_design import accuracy as accuracy_room
+from sampling_design import certificates, design, estimators, observability, plants, plotting, schedules, uncertain
 from sampling_design.checkers.check import verdict
 from sampling_design.design.bounds.relaxation import sigma_of_moved
 from sampling_design.design.problem.design_problem import DesignProblem
@@ -37,8 +38,11 @@ SHORTEST, LONGEST = 2.0, 20.0
 SIZES = {"states": (1, 2, 4, 8, 16, 32, 64), "samples": (5, 10, 20, 40, 80, 160, 320), "outputs": (1, 2, 4, 8)}
 SHORT = {"states": 16, "samples": 40, "outputs": 4}
 FEW = {"states": 4, "samples": 20, "outputs": 2}
-BOXED = ("family", "sigma of a box", "certify a box", "accuracy of a box")
+BOXED = ("family", "sigma of a box", "certify a box", "accuracy of a box", "largest box")
 SLOW = dict.fromkeys(("certify", "checker", "accuracy", "finite accuracy", "counts", *BOXED), FEW)
+SLOW |= dict.fromkeys(
+    ("existence", "horizons", "tradeoff", "robustness", "information", "contraction", "arrivals", "latex", "plan"), FEW
+)
 SLOW |= dict.fromkeys(
     ("next sample", "plan file", "plan proof", "plan picture", "inclusion file", "inclusion proof"), FEW
 )
@@ -85,12 +89,32 @@ def certified(states: int, samples: int, outputs: int, regular: bool = True, rat
     return lambda: sd.certify(of, at, eta=rate, budget=60)
 
 
-def designed(states: int, samples: int, outputs: int) -> Call:
+def designed(states: int, samples: int, outputs: int, regular: bool = True, losses: bool = False) -> Call:
     """Of oscillators that no output sees decay."""
+    del regular
     A = np.kron(np.diag(1.0 + 0.7 * np.arange(states // 2)), [[0.0, 1.0], [-1.0, 0.0]])
     of = sd.Plant(A, plant(states, outputs).C)
-    asked = sd.Requirement(window=2 * np.pi, samples=samples, spacing=0.04 * np.pi)
-    return lambda: sd.design_schedule(of, asked)
+    wanted = sd.Requirement(window=2 * np.pi, samples=samples, spacing=0.04 * np.pi)
+    made_of = sd.design_schedule(of, wanted) if losses else None
+    return lambda: sd.design_schedule(of, wanted) if made_of is None else design.sample_losses(made_of)
+
+
+def asked(work: Callable[[sd.Plant, sd.PeriodicSchedule], object], **own: object) -> Callable[..., Call]:
+    """What is asked of a plant and a schedule that keep nothing of an earlier call."""
+
+    def ready(states: int, samples: int, outputs: int, regular: bool = True, **given: object) -> Call:
+        return lambda: work(plant(states, outputs), schedule(samples, regular), **{**own, **given})
+
+    return ready
+
+
+def of_certificate(work: Callable[[sd.Plant, sd.Certificate], object]) -> Callable[..., Call]:
+    def ready(states: int, samples: int, outputs: int, regular: bool = True) -> Call:
+        of = plant(states, outputs)
+        known = sd.certify(of, schedule(samples, regular), eta=0.05, budget=60)
+        return lambda: work(of, known)
+
+    return ready
 
 
 def audited(states: int, samples: int, outputs: int, regular: bool = True) -> Call:
@@ -207,6 +231,10 @@ def kept(kind: str, states: int, samples: int, outputs: int, regular: bool = Tru
 READERS = {"detectability": sd.read_certificate, "inclusion": sd.read_certificate}
 
 
+def planned_samples(states: int, samples: int, outputs: int, regular: bool = True, kind: str = "plan") -> Call:
+    return lambda: kept.__wrapped__(kind, states, samples, outputs, regular)
+
+
 def of_kept(work: Callable[[object], object], usual: str) -> Callable[..., Call]:
     def ready(states: int, samples: int, outputs: int, regular: bool = True, kind: str = usual) -> Call:
         known = kept(kind, states, samples, outputs, regular)
@@ -285,7 +313,7 @@ def recorded(
     """A record, with a cell in three missing where there are several outputs."""
     rng, bare = np.random.default_rng(0), plant(2, outputs)
     of = sd.Plant(bare.A, bare.C, B=np.ones((2, inputs)), D=np.zeros((outputs, inputs)), time_unit="min")
-    y, u = 0.1 * rng.uniform(-1, 1, (length, outputs)), rng.normal(size=(length, inputs))
+    y, u = 0.1 * rng.uniform(-1, 1, (length, outputs)), 0.1 * rng.uniform(-1, 1, (length, inputs))
     y[:, 1:][rng.random((length, outputs - 1)) < 0.3] = np.nan
     at = rng.permutation(length) if mixed else np.arange(length)
     return sd.Measurements(of, times(length, regular)[at], y[at], u[at], origin=ORIGIN if dated else "")
@@ -432,6 +460,34 @@ VERBS = {
     "plan file": Verb(of_kept(on_file("plan"), "plan"), STOCHASTIC),
     "plan proof": Verb(of_kept(lambda known: known.verify(), "plan"), STOCHASTIC),
     "plan picture": Verb(of_kept(lambda known: plotting.save(known, folder() / "plan.svg"), "plan"), STOCHASTIC),
+    "design": Verb(designed, {"losses": {"losses": True}}),
+    "modes": Verb(asked(lambda of, at: plants.split_modes(of)), {}),
+    "undetected": Verb(asked(lambda of, at: observability.unobservable_modes(of)), {}),
+    "zero count": Verb(
+        asked(lambda of, at, duration: sd.zero_count_bound(of, duration), duration=7.0), {"long": {"duration": 700.0}}
+    ),
+    "losses borne": Verb(asked(observability.loss_tolerance), {"irregular": IRREGULAR}),
+    "existence": Verb(asked(sd.certificate_exists, eta=0.02), {"irregular": IRREGULAR, "rate": {"eta": 1.0}}),
+    "proof constants": Verb(
+        asked(certificates.constants_from_proof, variant="paper"),
+        {"irregular": IRREGULAR, "tightened": {"variant": "tightened"}},
+    ),
+    "horizons": Verb(asked(certificates.four_horizons, budget=20), {"irregular": IRREGULAR}),
+    "tradeoff": Verb(asked(certificates.tradeoff_curve, eta=0.05, noise_gains=(3.0, 10.0)), {"irregular": IRREGULAR}),
+    "limit": Verb(asked(lambda of, at: accuracy_room.accuracy_limit(of, w_bound=0.1, v_bound=0.1, budget=20)), {}),
+    "robustness": Verb(of_certificate(lambda of, known: sd.robustness(of, known, budget=20)), {"irregular": IRREGULAR}),
+    "information": Verb(
+        of_certificate(lambda of, known: certificates.information_curve(known)), {"irregular": IRREGULAR}
+    ),
+    "contraction": Verb(
+        of_certificate(lambda of, known: certificates.least_contracting(known)), {"irregular": IRREGULAR}
+    ),
+    "arrivals": Verb(
+        of_certificate(lambda of, known: certificates.random_arrivals(known, 0.1)), {"irregular": IRREGULAR}
+    ),
+    "latex": Verb(of_certificate(lambda of, known: known.to_latex()), {"irregular": IRREGULAR}),
+    "plan": Verb(planned_samples, STOCHASTIC),
+    "largest box": Verb(over_box(lambda of, at: uncertain.largest_box(of, at, budget=20)), BOXES),
     "detectability": Verb(
         lambda states, samples, outputs, regular=True: (
             lambda: sd.certificates.certify_detectability(plant(states, outputs))
@@ -535,6 +591,14 @@ LENGTHS = {
         lengths=True,
     ),
     "interval checked": Verb(of_result(lambda known: known.verify(rigorous=True), "interval"), {}, lengths=True),
+    "curve": Verb(
+        of_record(lambda known: estimators.estimate_curve(ESTIMATORS["filter"](known.plant), known)), ROWS, lengths=True
+    ),
+    "estimate file": Verb(
+        of_result(lambda known: estimators.write_estimates(known, folder() / "estimates.csv"), "estimates"),
+        {},
+        lengths=True,
+    ),
     "radii of all": Verb(
         of_record(lambda known: ESTIMATORS["filter"](known.plant).run(known).to_frame()), ROWS, lengths=True
     ),
@@ -574,7 +638,7 @@ def listed(points: list[tuple[int, float]]) -> str:
 
 def of_lengths(name: str, long: bool) -> Iterator[str]:
     """Yield the lines of a verb over lengths, until one would take too long."""
-    verb = VERBS[name]
+    verb, plain = VERBS[name], dict[int, float]()
     for option, given in {"": {}, **verb.options}.items():
         points: list[tuple[int, float]] = []
         verb.ready(100, **given)()  # what is loaded is not counted
@@ -588,6 +652,10 @@ def of_lengths(name: str, long: bool) -> Iterator[str]:
                 break
         yield f"{name} {option} ms by length: {listed(points)}"
         yield from compared("length", points, True)
+        plain = plain or dict(points)
+        both = [(length, seconds / plain[length]) for length, seconds in points if length in plain]
+        if both and both[-1][1] > JUMP:
+            yield f"  JUMP {name}, {option}: of {both[-1][0]} {both[-1][1]:.2g} times without it"
 
 
 def swept(name: str, long: bool) -> Iterator[str]:

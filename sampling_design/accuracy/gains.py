@@ -14,8 +14,9 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet
+from sampling_design.accuracy.forgetting import noise_cost
 from sampling_design.accuracy.gap_table import AT_ONCE
-from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem, noise_cost
+from sampling_design.accuracy.sampled_system import GapDynamics, SampledSystem
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 

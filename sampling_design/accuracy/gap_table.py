@@ -41,6 +41,7 @@ AT_ONCE = 2**17
 """Numbers along the panels of a gap that are made at once: what a cache does not hold costs over twice as much,
 where a fast mode asks for thousands of panels."""
 
+STACKED = 2**11  # numbers of a gap's panels up to which many gaps are integrated over together
 GROWN = 1e70  # growth over a period beyond which sizes are not followed: its square is a number still, in any units
 
 
@@ -99,6 +100,44 @@ class PropagatedGap:
         ends = (self.propagated[::JOINED], self.bend[::JOINED])
         third = self.third.reshape(-1, JOINED).max(axis=1)
         return replace(self, step=self.step * JOINED, propagated=ends[0], bend=ends[1], third=third)
+
+
+class GapIntegrals:
+    """What `integral` says of columns over many gaps, a few of each: those of as few panels all at once."""
+
+    def __init__(self, gaps: Sequence[PropagatedGap]):
+        self._gaps = gaps
+        shapes = [gap.propagated.shape if gap.propagated.size <= STACKED else (0, 0, 0) for gap in gaps]
+        self._kinds = [shape for shape in dict.fromkeys(shapes) if shape[0]]
+        self._kind = np.array([self._kinds.index(shape) if shape[0] else -1 for shape in shapes])
+        self._place, self._stacks = np.zeros(len(gaps), dtype=np.intp), list[tuple[Array, ...]]()
+        for kind in range(len(self._kinds)):
+            own = np.flatnonzero(self._kind == kind)
+            self._place[own] = np.arange(own.size)
+            parts = zip(*(gaps[i]._quadrature for i in own.tolist()), strict=True)
+            self._stacks.append(tuple(map(np.array, parts)))
+
+    def over(self, at: Index, g: Array, ball: bool) -> Array:
+        """Those of columns g (K, n, k), over a gap each."""
+        found, k = np.empty((len(g), g.shape[2])), g.shape[2]
+        for kind in np.unique(self._kind[at]).tolist():
+            own = np.flatnonzero(self._kind[at] == kind)
+            count, _, q = self._kinds[kind] if kind >= 0 else (AT_ONCE + 1, 0, 1)
+            at_once = AT_ONCE // (count * q * k)
+            if not at_once:
+                found[own] = [self._gaps[at[i]].integral(g[i], ball) for i in own.tolist()]
+                continue
+            for some in np.split(own, range(at_once, own.size, at_once)):
+                propagated, curved, ends, inner, rest = (part[self._place[at[some]]] for part in self._stacks[kind])
+                stacks = ((X @ g[some]).reshape(some.size, count, q, k) for X in (propagated, curved))
+                size, curve = (
+                    np.sqrt(np.einsum("gcqk,gcqk->gck", X, X)) if ball else np.abs(X).reshape(some.size, count, q * k)
+                    for X in stacks
+                )
+                total = ends[:, None] @ size + inner[:, None] @ np.maximum(curve[:, 1:], curve[:, :-1])
+                more = rest[:, None] * np.linalg.norm(g[some], axis=1) * (1.0 if ball else math.sqrt(q))
+                found[some] = (total[:, 0] if ball else total.reshape(some.size, q, k).sum(axis=1)) + more
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import count as count_from
 from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.accuracy.bounds import InitialSet, SignalBounds, noise_units
+from sampling_design.accuracy.forgetting import HALVED, PATIENT, FilterPast, FilterStep, filter_pasts, too_far
 from sampling_design.accuracy.gap_table import GROWN, GapTable, PropagatedGap, cell_rate, pace, state_scales
 from sampling_design.accuracy.lasting import LastingResponses
 from sampling_design.accuracy.riccati import least_bounds, settled
@@ -31,12 +31,6 @@ PANEL = 0.125  # length of a panel times the pace of A in scaled coordinates
 CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose at first
 MOST_CELLS = 2**14  # of a gap, however often the plant turns in it: an adversary's, which may be coarser
 BETWEEN = (0.2360, 0.6180)  # shares of a gap at which the outputs are looked at for the sizes of what its samples hide
-CONTRACTED = 0.03  # samples are added until the filter's error forgets all but this share of its past
-
-PATIENT, HALVED = 256, 0.5
-"""Samples from which on so large a share may be left of it: a filter that forgets slowly took ten times as many, and
-what is left is bounded all the same."""
-
 FORGOTTEN = 0.01  # the share of the past that may be left after the filter's memory
 PERIODS = 4000  # periods after which a filter that still remembers is given up: a bound that long would be no use
 FOLLOWED = 40.0  # growth over a gap, as an exponent, beyond which a root of a covariance has no digit left
@@ -358,39 +352,17 @@ class SampledSystem:
         return np.array([steps for steps, _, _ in self._filtered])
 
     @cached_property
-    def _filtered(self) -> list[tuple[int, Array, Array]]:
-        """Of each sample: samples back until the error contracts, what noise and w cost till then, the rest (n, r).
+    def _filtered(self) -> list[FilterPast]:
+        """The past of each sample. Raises UndecidedError if the filter's error does not contract."""
+        before = [(self.samples[j], self.gaps[j - 1]) for j in range(len(self))]
+        steps = [FilterStep(s.K, s.H, s.noise, gap.F, gap.back, gap.flow) for s, gap in before]
+        return filter_pasts(steps, self.determined, (self.bounds.w_ball, self.bounds.v_ball), self._require_forgetting)
 
-        Raises UndecidedError if it does not contract.
-        """
-        count, r, found = len(self), self.determined, []
-        for j in range(count):
-            mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
-            propagated: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
-            for steps in count_from(0):
-                sample = self.samples[at]
-                gains = sample.K.T @ mu
-                mu = mu - sample.H.T @ gains
-                cost += noise_cost(gains, sample.noise, self.bounds.v_ball)
-                left = _largest_column(mu)
-                if left > GROWN:
-                    raise too_far()
-                slow = steps == min(PATIENT, PERIODS * count) and not j
-                if slow and self._steps_back(_largest_column, HALVED) >= PERIODS * count:
-                    raise UndecidedError(
-                        "Nothing bounds the error on this schedule: its filter forgets no past within "
-                        f"{PERIODS} periods."
-                    )
-                if steps and left < (CONTRACTED if steps <= PATIENT else HALVED):
-                    for k, columns in propagated.items():
-                        every = self.gaps[k].size(np.hstack(columns), self.bounds.w_ball)
-                        cost += every.reshape(len(columns), r).sum(axis=0)
-                    found.append((steps, cost, mu))
-                    break
-                at = (at - 1) % count
-                propagated.setdefault(at, []).append(mu)
-                mu = self.gaps[at].F.T @ mu
-        return found
+    def _require_forgetting(self) -> None:
+        if self._steps_back(_largest_column, HALVED) >= PERIODS * len(self):
+            raise UndecidedError(
+                f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
+            )
 
 
 def _largest_column(mu: Array) -> float:
@@ -406,20 +378,6 @@ def refuse_growth(plant: Plant, gaps: Array, last: float = 0.0) -> None:
     rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
     if rate * float(np.max(gaps, initial=0.0)) > FOLLOWED or rate * last > AHEAD:
         raise too_far()
-
-
-def too_far() -> UndecidedError:
-    """What is said where growth has left nothing of what samples show."""
-    return UndecidedError(
-        "undecided: what is not measured grows so far between the samples of this schedule that no filter's error can "
-        "be followed in doubles. Measure more often."
-    )
-
-
-def noise_cost(gains: Array, noise: Array, ball: bool) -> Array:
-    """h_V of scaled gains (p, k): exact sensors cost nothing."""
-    noisy = gains * noise[:, None]
-    return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
 
 
 def periodic_system(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array | None = None) -> SampledSystem:

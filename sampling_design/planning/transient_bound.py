@@ -15,8 +15,9 @@ from functools import lru_cache
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections, GapProof
+from sampling_design.accuracy.forgetting import noise_cost
 from sampling_design.accuracy.gains import ROUNDING
-from sampling_design.accuracy.sampled_system import SampledSystem, noise_cost
+from sampling_design.accuracy.sampled_system import SampledSystem
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_system import plan_bounds, plan_system
 from sampling_design.records.arrays import Array

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.accuracy import gap_table
+from sampling_design.accuracy import forgetting, gap_table
 from sampling_design.accuracy import sampled_system as chains
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.errors import UndecidedError
@@ -39,7 +39,7 @@ def by_whole_periods(system, j):
         gains = sample.K.T @ mu
         mu = mu - sample.H.T @ gains
         cost += np.abs(gains).sum(axis=0)
-        if steps and at == j and np.abs(mu).sum(axis=0).max() < chains.CONTRACTED:
+        if steps and at == j and np.abs(mu).sum(axis=0).max() < forgetting.CONTRACTED:
             return np.linalg.solve(np.eye(n) - np.abs(mu).T, cost)
         at, steps = (at - 1) % count, steps + 1
         cost += system.gaps[at].integral(mu, system.bounds.w_ball)
@@ -51,7 +51,7 @@ def by_whole_periods(system, j):
 def test_the_reach_is_that_of_each_sample_alone(name, gaps):
     system = made(name, gaps)
     for j in range(len(system)):
-        np.testing.assert_allclose(system.reach[j], by_whole_periods(system, j), rtol=3 * chains.CONTRACTED)
+        np.testing.assert_allclose(system.reach[j], by_whole_periods(system, j), rtol=3 * forgetting.CONTRACTED)
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -61,19 +61,56 @@ def test_the_reach_satisfies_its_inequality_and_hardly_more(name):
         right = cost + np.abs(rest).T @ system.reach[(j - back) % len(system)]
         np.testing.assert_allclose(system.reach[j], right, rtol=1e-12)
         np.testing.assert_allclose(system.rests_on(j, system.reach[(j - back) % len(system)]), right, rtol=1e-12)
-        assert np.abs(rest).sum(axis=0).max() < chains.CONTRACTED
+        assert np.abs(rest).sum(axis=0).max() < forgetting.CONTRACTED
 
 
 def test_many_samples_take_as_many_steps_as_the_error_lasts(monkeypatch):
-    system, calls = made("growing", [4.0] * 60), []
-    integral = chains.PropagatedGap.integral
-    monkeypatch.setattr(chains.PropagatedGap, "integral", lambda *given: calls.append(1) or integral(*given))
+    system, rows = made("growing", [4.0] * 60), []
+    cost = forgetting.noise_cost
+    monkeypatch.setattr(forgetting, "noise_cost", lambda gains, *more: rows.append(len(gains)) or cost(gains, *more))
     assert system.reach.shape == (60, 1)
-    assert len(calls) == system.forgetting.sum() < 6 * 60
+    assert sum(rows) == system.forgetting.sum() + 60 < 7 * 60
+    assert len(rows) == 1 + system.forgetting[0] + 1 + system.forgetting.max()  # the first, all others
+
+
+def walked(system, j):
+    """The past of one sample: its rows followed back one sample and one gap at a time."""
+    mu, cost, steps, count = np.eye(system.D.size), 0.0, 0, len(system)
+    while True:
+        sample, gap = system.samples[(j - steps) % count], system.gaps[(j - steps - 1) % count]
+        gains = sample.K.T @ mu
+        mu, noisy = mu - sample.H.T @ gains, gains * sample.noise[:, None]
+        cost = cost + (np.linalg.norm(noisy, axis=0) if system.bounds.v_ball else np.abs(noisy).sum(axis=0))
+        if steps and np.abs(mu).sum(axis=0).max() < forgetting.CONTRACTED:
+            return steps, cost, mu
+        cost, mu, steps = cost + gap.size(mu, system.bounds.w_ball), gap.F.T @ mu, steps + 1
+
+
+@pytest.mark.parametrize(("w_bound", "v_bound"), [(0.02, 0.4), ([0.02, 0.01], [0.4, 0.2])])
+@pytest.mark.parametrize("few", [False, True])
+def test_samples_that_are_followed_together_have_the_past_of_each_alone(w_bound, v_bound, few, monkeypatch):
+    """Of gaps with few and with many panels, which come once and many times, and samples of one output or both."""
+    rng = np.random.default_rng(3)
+    plant = sd.Plant([[0.0, 1.0], [-2.0, -0.1]], np.eye(2))
+    gaps = np.append(rng.uniform(0.02, 0.4, 6), 60.0)
+    measured = np.array([[1, 0], [1, 1], [0, 1], [1, 1], [1, 0], [1, 0], [0, 1]], dtype=bool)
+    bounds = SignalBounds.of(plant, 7, measured, w_bound, v_bound)
+    system = chains.periodic_system(plant, gaps, bounds)
+    assert len({gap.flow.third.size for gap in system.gaps}) > 1
+    if few:  # two samples at a time, and integrals in parts
+        monkeypatch.setattr(forgetting, "KEPT", 2 * system.forgetting[0] * 4)
+        monkeypatch.setattr(gap_table, "AT_ONCE", 200)
+        system = replace(system)
+    for j, (steps, cost, rest) in enumerate(system._filtered):
+        alone = walked(system, j)
+        assert steps == alone[0]
+        np.testing.assert_allclose(cost, alone[1], rtol=1e-12)
+        np.testing.assert_allclose(rest, alone[2], rtol=1e-9, atol=1e-14)
 
 
 def test_an_error_that_is_not_forgotten_is_not_bounded(monkeypatch):
     monkeypatch.setattr(chains, "PERIODS", 1)
+    monkeypatch.setattr(forgetting, "PATIENT", 1)
     with pytest.raises(UndecidedError, match="its filter forgets no past within 1 periods"):
         _ = made("oscillator", [1.3]).reach
 

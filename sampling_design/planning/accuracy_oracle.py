@@ -16,12 +16,12 @@ from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedMod
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal, on_finer
-from sampling_design.planning.search_progress import EXCESS
+from sampling_design.planning.search_progress import EXCESS, SIMULATED, WINDOW
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 
 SETTLED = 2e-3  # a longer past is looked at until it adds less than this share
-LONGEST = 8  # gaps that are looked at where only the longest are
+LONGEST = 8  # gaps that are looked at where only the longest are, or the work is spent
 QUARTERS, OFFSETS = 4, 8  # parts of a gap at whose ends it is judged at first, and offsets, at most
 FAR = 0.5  # what is below this share of a level at every quarter of a gap is not looked at elsewhere
 MOST_KNOTS = 400  # samples of the past that one program looks at: its size grows with them
@@ -122,7 +122,9 @@ class AccuracyOracle:
             depths = [self.back // share for share in SHALLOW if large] + depths
         for back in depths:
             known: set[bytes] = set()
-            for span in order:
+            for count, span in enumerate(order):
+                if count >= LONGEST and found and self.work.over:
+                    break
                 if turns:  # a gap like another one, and all that came before it: its trajectories are the same, turned
                     like = np.roll(chosen, -span.last, axis=0).tobytes() + bytes(
                         str((span.begin, span.length)), "ascii"
@@ -334,6 +336,7 @@ class AccuracyOracle:
     def _window(self, chosen: Mask, span: GridSpan, back: int) -> GridWindow:
         """The window of samples of an endless schedule up to a step, without what is out."""
         knots = self._knots(chosen, span.last, back)
+        self.work.add(WINDOW, len(knots))
         return GridWindow(self.discrete, knots, span.known(chosen[knots % self.problem.steps]))
 
     def _knots(self, chosen: Mask, last: int, back: int) -> Index:
@@ -390,6 +393,8 @@ class AccuracyOracle:
 
     def _trajectory(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
         """The strongest trajectory against a goal, so many steps after the last sample of a window."""
+        first, each, step = SIMULATED
+        self.work.spend(first + each * len(window.knots) + step * float(window.knots[-1] - window.knots[0]))
         response = window.strongest(self._opened(offset, g)[0])
         if response is None:
             return None

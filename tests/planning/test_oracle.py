@@ -5,12 +5,14 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import discrete_plant as room
-from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle, GridSpan
+from sampling_design.planning.accuracy_oracle import LONGEST, QUARTERS, SETTLED, AccuracyOracle, GridSpan
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of
 from sampling_design.planning.search import PlanSearch
+from sampling_design.records.budget import Budget
+from tests.counted_clock import Counted
 
 BODY = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 DRIFT = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
@@ -122,3 +124,30 @@ def test_what_a_window_solved_bounds_other_rows_and_leaves_out_no_worst_time(pla
         assert max(again.values(), default=0.0) == pytest.approx(worst, rel=1e-5) or share == 1.0
         assert all(full[offset] == pytest.approx(value, rel=1e-5) for offset, value in again.items() if offset in full)
     assert len(oracle.ratios_at(solved, 0, 0, 26, known=worst * 1.01)) < len(full)
+
+
+@pytest.mark.parametrize("steps", [20, 60])
+def test_what_a_judgment_takes_is_counted(steps):
+    """Its windows and trajectories, too, of which a choice with as many gaps as steps has as many."""
+    problem, chosen = posed(BODY, 8.0, 8.0 / steps, np.arange(1, steps))
+    oracle = AccuracyOracle(problem, discretize(problem))
+    oracle.back = 2 * steps
+    with Counted(6e-7).running() as clock:  # as long as it takes
+        oracle._judged(chosen, np.inf, False)
+    assert clock.read() <= 1.5 * oracle.work.spent
+
+
+def test_once_the_work_is_spent_a_choice_is_judged_in_its_longest_gaps(monkeypatch):
+    problem, chosen = posed(BODY, 8.0, 0.4, np.r_[0, 3:20])
+    seen, whole = [], AccuracyOracle(problem, discretize(problem))
+    gap = AccuracyOracle._gap
+    monkeypatch.setattr(AccuracyOracle, "_gap", lambda self, chosen, span, *more: seen.append(span.length) or
+                        gap(self, chosen, span, *more))  # fmt: skip
+    worst = whole.judge(chosen)[0]
+    assert len(seen) == 18
+    assert seen[:2] == [3, 1]
+    seen.clear()
+    oracle = AccuracyOracle(problem, discretize(problem), Budget(1e-3, counted=True))
+    oracle.back = whole.back
+    assert oracle.judge(chosen)[0] == pytest.approx(worst, rel=1e-6)
+    assert seen == [3] + (LONGEST - 1) * [1]

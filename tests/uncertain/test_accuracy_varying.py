@@ -91,6 +91,27 @@ def test_units_change_nothing_but_the_unit():
     assert "Nothing is proven between these times" in own.explain()
 
 
+@pytest.mark.parametrize("seed", few(range(12), 0, 1, 2))
+def test_what_readings_determine_depends_on_no_unit(seed):
+    rng = np.random.default_rng(seed)  # nothing moves: three readings are three equations for three states
+    rows = rng.normal(size=(3, 3)) / 10.0 ** rng.integers(-9, 10, 3)
+    plant = TimeVaryingPlant.from_table([0.0, 1.0, 2.0], np.zeros((3, 3, 3)), rows[:, None])
+    found = sd.guaranteed_accuracy(plant, sd.Schedule([0.0, 1.0, 2.0]), v_bound=[0.1])
+    assert np.all(np.isinf(found.upper[:, :-1]))
+    np.testing.assert_allclose(found.upper[:, -1], 0.1 * np.abs(np.linalg.inv(rows)).sum(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(found.lower[:, -1], found.upper[:, -1], rtol=1e-6)
+
+
+def test_what_no_reading_tells_is_without_bound_however_little_it_moves():
+    table = [[[0.0, 1e-12], [0.0, 0.0]]] * 2
+    plant = TimeVaryingPlant.from_table([0.0, 1.0], table, [[[0.0, 0.0]]] * 2, [[[1.0], [0.0]]] * 2)
+    found = sd.guaranteed_accuracy(
+        plant, sd.Schedule([0.0, 1.0]), w_bound=[1.0], v_bound=[0.1], initial_error=[0.0, np.inf]
+    )
+    assert found.upper[0, 0] == 0.0
+    assert np.all(np.isinf(found.upper[0, 1:]))
+
+
 def test_bad_arguments_are_refused(monkeypatch):
     given = {"w_bound": 0.1, "v_bound": 0.1}
     with pytest.raises(ArgumentError, match="`schedule` must be a Schedule with samples within the plant's horizon"):

@@ -56,7 +56,7 @@ class WorstCaseOverBox(SigmaBracket):
     worst : mapping
         Values of the parameters.
     witness : (k,) array
-        Sample times within [0, T], planned ones where samples may be early or late.
+        Sample times within [0, T]; planned ones where samples may be early or late, and the window is as much longer.
     readings : (k, p) array or None
         When each output of these samples is read, there.
     timing_tolerance : float, pair of floats, dict of these, or None

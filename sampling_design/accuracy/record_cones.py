@@ -2,12 +2,94 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
 import numpy as np
 
+from sampling_design.accuracy.bounds import EXACT
+from sampling_design.accuracy.finite import DIFFUSE
+from sampling_design.accuracy.gap_table import RecordGap
 from sampling_design.accuracy.readings import Readings
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
+from sampling_design.numerics.filtering import covariance_root, root_update, triangle
 from sampling_design.records.arrays import Array
+
+BEYOND = 1e75  # a deviation that grows beyond it is as good as infinite: its square would overflow in what follows
+UNKNOWN = 1e-3  # the deviation of a state whose start is exactly known
+LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
+
+
+class RecordScaling:
+    """Units of rows and coordinates of states in which a solver takes a record: nothing that is proven rests on them.
+
+    `gaps`, `F` and `H` are in D coordinates.
+    """
+
+    def __init__(self, readings: Readings, gaps: Sequence[RecordGap], F: Array, D: Array, H: Array):
+        self.readings, self.gaps, self.F, self.D, self.H = readings, gaps, F, D, H
+
+    @cached_property
+    def _noise(self) -> Array:
+        """(K-1, n, n) what w does over each gap: the sum over its cells of their squares."""
+        cells, n = [gap.cells(0) for gap in self.gaps], len(self.D)
+        return np.array([np.einsum("mnq,mkq->nk", own, own) for own in cells]).reshape(len(cells), n, n)
+
+    @cached_property
+    def driven(self) -> Array:
+        """(R,) what w does to each row over a gap, or its own size if that is nothing."""
+        driven, size = np.zeros(len(self.H)), np.linalg.norm(self.H, axis=1)
+        if len(self._noise):
+            driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._noise.mean(axis=0), self.H), 0.0))
+        return np.where(driven > 0, driven, np.where(size > 0, size, 1.0))
+
+    @cached_property
+    def unit(self) -> Array:
+        """(R,) the size of the noise of each row, or what stands for it."""
+        read, stand_in = self.readings, self.driven
+        stand_in = np.where(read.below, np.maximum(stand_in, read.size), EXACT * stand_in)
+        return np.where((read.size > 0) & ~read.below, read.size, stand_in)
+
+    @cached_property
+    def filter(self) -> tuple[Array, Array]:
+        """Gains (R, n) of the filter with the bounds as deviations, roots (K, n, n) of its covariances.
+
+        Roots, since exact rows leave less of a state than the rounding of a difference of covariances.
+        """
+        read, n, D = self.readings, len(self.D), self.D
+        root = np.eye(n) * math.sqrt(DIFFUSE)
+        if not read.start.unbounded:
+            root = np.zeros((n, n))
+            root[: len(read.start.root), : read.start.root.shape[1]] = read.start.root
+            root = root / D[:, None]
+            root = np.hstack([root, np.diag(np.where(root.any(axis=1), 0.0, UNKNOWN))])
+        H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
+        gains, roots = np.zeros((len(H), n)), np.zeros((len(read.times), n, n))
+        for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
+            if k:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    root = np.hstack([self.F[k - 1] @ root, covariance_root(self._noise[k - 1])])
+                if not np.abs(root).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
+                    root = np.eye(n) * BEYOND
+            if b > a:
+                root, K, _ = root_update(root, H[a:b], np.eye(b - a))
+                gains[a:b] = K.T
+            roots[k] = root = triangle(root)
+        return gains, roots
+
+    @cached_property
+    def L(self) -> Array:
+        """(K, n, n) coordinates x = D L z of each time in which what is possible is of size one: roots of covariances.
+
+        Where nothing drives a state that decays, those of one time would make it as large as it has decayed by then.
+        """
+        roots = self.filter[1]
+        size = np.maximum(np.linalg.norm(roots, axis=2), math.sqrt(np.finfo(float).tiny))
+        vectors, values, _ = np.linalg.svd(roots / size[:, :, None])
+        least = math.sqrt(LEAST * roots.shape[1])
+        return np.asarray(size[:, :, None] * vectors * np.maximum(values, least)[:, None, :])
 
 
 class RecordCones:
@@ -126,6 +208,15 @@ class RecordCones:
     def loosened(self, multiple: float) -> Array:
         """b for bounds so many times as large."""
         return np.asarray(self.b + (multiple - 1.0) * self._sizes("all"))
+
+    def centred(self) -> Array:
+        """b as if readings were those of `path`, and the start were about it: what is possible then is never empty.
+
+        Its gains leave no record more than the worst one: it is symmetric, but for readings below a limit.
+        """
+        b, below = self._sizes("all"), slice(self._below_at, self._below_at + self._below.size)
+        b[below] = np.maximum(self.b[below], b[below])
+        return b
 
     def grown(self, which: str) -> tuple[Array | None, float]:
         """Return the least multiple of some bounds under which something is possible, and its multipliers first.

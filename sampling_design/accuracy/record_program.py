@@ -15,26 +15,21 @@ from functools import cached_property
 import numpy as np
 
 from sampling_design.accuracy.bounds import EXACT
-from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.gains import ROUNDING, RowEnd
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable, RecordCells
 from sampling_design.accuracy.readings import Readings
-from sampling_design.accuracy.record_cones import RecordCones
+from sampling_design.accuracy.record_cones import RecordCones, RecordScaling
 from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
-from sampling_design.numerics.filtering import covariance_root, root_update, triangle
 from sampling_design.numerics.linalg import products
 from sampling_design.records.arrays import Array
 
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 """Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
-BEYOND = 1e75  # a deviation that grows beyond it is as good as infinite: its square would overflow in what follows
-UNKNOWN = 1e-3  # the deviation of a state whose start is exactly known
 HELD = 1e-13  # relative error with which nominal states and readings are held
 FLOW_HELD = 4 * float(np.finfo(float).eps)  # the same of a flow over a panel of a gap: those of a gap are multiplied
-LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
 CLOSED = 1e-2  # share of the half-width by which the adversary may fall short of it before cells are made finer
 
 SPARED = 0.1  # share of that by which gaps may fall short together whose cells stay as they are
@@ -86,7 +81,8 @@ class RecordProgram:
         if readings.kept is not None:
             self.F = self.F * readings.kept[:-1, None, :]
         self.H = readings.H * table.D
-        self.infeasible = False
+        self.scaling = RecordScaling(readings, self.gaps, self.F, table.D, self.H)
+        self.infeasible = self._is_centred = False
         self._aim = len(readings.times) - 1  # the time of the row that was asked for last
         self._posed: tuple[int, RecordCones] | None = None
         self._found: dict[tuple[int, str], tuple[Array | None, float]] = {}
@@ -107,70 +103,13 @@ class RecordProgram:
         """Relative error with which nominal states are held: those of its gaps, panel after panel."""
         return HELD + FLOW_HELD * sum(gap.third.size for gap in self.gaps)
 
-    @cached_property
-    def _gap_noise(self) -> Array:
-        """(K-1, n, n) sum over the cells of a gap of their squares: its noise, for scaling only."""
-        n = len(self.table.D)
-        cells = [gap.cells(0) for gap in self.gaps]
-        return np.array([np.einsum("mnq,mkq->nk", own, own) for own in cells]).reshape(-1, n, n)
-
-    @cached_property
-    def unit(self) -> Array:
-        """(R,) the size of the noise of each row, or what stands for it: for scaling only."""
-        read, driven = self.readings, np.zeros(len(self.H))
-        if len(self._gap_noise):
-            driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._gap_noise.mean(axis=0), self.H), 0.0))
-        size = np.linalg.norm(self.H, axis=1)
-        stand_in = np.where(driven > 0, driven, np.where(size > 0, size, 1.0))
-        stand_in = np.where(read.below, np.maximum(stand_in, read.size), EXACT * stand_in)
-        return np.where((read.size > 0) & ~read.below, read.size, stand_in)
-
-    @cached_property
-    def _filter(self) -> tuple[Array, Array]:
-        """Gains (R, n) of the filter with the bounds as deviations, roots (K, n, n) of its covariances: for scaling.
-
-        Roots, since exact rows leave less of a state than the rounding of a difference of covariances.
-        """
-        read, n, D = self.readings, len(self.table.D), self.table.D
-        root = np.eye(n) * math.sqrt(DIFFUSE)
-        if not read.start.unbounded:
-            root = np.zeros((n, n))
-            root[: len(read.start.root), : read.start.root.shape[1]] = read.start.root
-            root = root / D[:, None]
-            root = np.hstack([root, np.diag(np.where(root.any(axis=1), 0.0, UNKNOWN))])
-        H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
-        gains, roots = np.zeros((len(H), n)), np.zeros((len(read.times), n, n))
-        for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
-            if k:
-                with np.errstate(over="ignore", invalid="ignore"):
-                    root = np.hstack([self.F[k - 1] @ root, covariance_root(self._gap_noise[k - 1])])
-                if not np.abs(root).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
-                    root = np.eye(n) * BEYOND
-            if b > a:
-                root, K, _ = root_update(root, H[a:b], np.eye(b - a))
-                gains[a:b] = K.T
-            roots[k] = root = triangle(root)
-        return gains, roots
-
-    @cached_property
-    def L(self) -> Array:
-        """(K, n, n) coordinates x = D L z of each time in which what is possible is of size one: roots of covariances.
-
-        Where nothing drives a state that decays, those of one time would make it as large as it has decayed by then.
-        """
-        roots = self._filter[1]
-        size = np.maximum(np.linalg.norm(roots, axis=2), math.sqrt(np.finfo(float).tiny))
-        vectors, values, _ = np.linalg.svd(roots / size[:, :, None])
-        least = math.sqrt(LEAST * roots.shape[1])
-        return np.asarray(size[:, :, None] * vectors * np.maximum(values, least)[:, None, :])
-
     def posed(self, level: int = 0) -> RecordCones:
         """Return the program with the cells of a level; one is held at a time, since a solver's memory is large."""
         if self._posed is None or self._posed[0] != level:
             self._posed = None
             cells = self._cells.of(level)
             self._posed = level, RecordCones(
-                self.readings, self._near, self.F, cells, self.table.D, self.L, self.H, self.unit,
+                self.readings, self._near, self.F, cells, self.table.D, self.scaling.L, self.H, self.scaling.unit,
                 tolerance=TOLERANCE[level],
             )  # fmt: skip
         return self._posed[1]
@@ -180,6 +119,7 @@ class RecordProgram:
 
         Cells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width, and
         only those by which it falls short. It `stops` where the data contradict the bounds: what is left has no ends.
+        Where readings are nearly exact, gains for exact ones are tried, too: their program parts states less.
         """
         nothing = RowEnd(np.inf, np.inf, np.inf, np.zeros(len(self.H)))
         ends, last = [[nothing, nothing] for _ in rows], 0
@@ -193,16 +133,30 @@ class RecordProgram:
             open_ = [(k, s) for k in due for s in (0, 1) if ends[k][s].short > _slack(*ends[k])]
             if not open_:
                 continue
-            if self.infeasible and (self._multiple(last) > COARSE or self.contradicted):
+            if self.infeasible and self.contradicted:
                 break
-            for k, s in open_ if not self.infeasible else ():
+            for k, s in open_:
                 costates = self._costates(self._ahead(t, (-1.0) ** s * rows[k])[0], ends[k][s].gains)[0]
                 self._cells.refine(level, last, costates, ends[k][s].short, SPARED * _slack(*ends[k]))
             for k, s in open_:
                 finer = self._end(t, (-1.0) ** s * rows[k], level)
                 ends[k][s] = finer if finer.value < ends[k][s].value else replace(ends[k][s], short=finer.short)
             last = level
+        for row, pair, others in zip(rows, ends, self._of_exact.solve(t, rows) if self._of_exact else (), strict=False):
+            for s, end in enumerate(others):
+                pair[s] = min(pair[s], self.upper(t, (-1.0) ** s * row, end.gains), key=lambda end: end.value)
         return ends
+
+    @cached_property
+    def _of_exact(self) -> RecordProgram | None:
+        """The program in which what is nearly exact is exact; None where nothing is."""
+        read = self.readings
+        nearly = ~read.below & (read.size > 0) & (read.size < EXACT * self.scaling.driven)
+        if not nearly.any():
+            return None
+        sizes = iter(np.where(nearly, 0.0, read.size).tolist())
+        rows = tuple(tuple(row._replace(size=next(sizes)) for row in each) for each in read.rows)
+        return RecordProgram(replace(read, rows=rows), self.table)
 
     def after(self, t: float, row: Array) -> float:
         """Return what w adds to a row between the last time and t at most."""
@@ -221,11 +175,15 @@ class RecordProgram:
         attained, gains, ahead = self._solved(c, level)
         with np.errstate(over="ignore", invalid="ignore"):  # where nothing is free, a solver may diverge
             found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
-            if not abs(found.bound - added - attained) < CLOSED * found.width:
+            if not abs(self._short(found, added + attained)) < CLOSED * found.width:
                 for other in self._fed_back(c, gains, ahead):
                     found = min(found, self.upper(t, row, other), key=lambda end: end.value)
-            short = found.bound - added - attained
+            short = self._short(found, added + attained)
         return replace(found, short=short if np.isfinite(found.bound) and attained < np.inf else 0.0)
+
+    def _short(self, found: RowEnd, attained: float) -> float:
+        """By how much the adversary of the last program falls short of what gains prove."""
+        return (found.width if self._is_centred else found.bound) - attained
 
     def _plainest(self, t: float, row: Array, found: RowEnd) -> RowEnd:
         """Gains of the last readings alone, where they leave exactly nothing of a free start and prove as much.
@@ -270,7 +228,7 @@ class RecordProgram:
     def _solved(self, c: Array, level: int) -> tuple[float, Array, Array]:
         """What the adversary attains, and multipliers of rows and gaps, for a target at the last time, unchecked."""
         with np.errstate(over="ignore", invalid="ignore"):
-            posed, mu = self.posed(level), self.L[self._aim].T @ c
+            posed, mu = self.posed(level), self.scaling.L[self._aim].T @ c
         size = math.hypot(*mu.tolist())  # its square may overflow
         nothing = np.inf, np.zeros(len(self.H)), np.zeros_like(self.F[:, 0])
         if size == 0 or not np.isfinite(size):
@@ -279,15 +237,18 @@ class RecordProgram:
         cost[posed.state(self._aim)] = -mu / size
         x, y, status = posed.solver.solve(cost, posed.b)
         self.infeasible = status == INFEASIBLE
-        if self.infeasible and self._multiple(level) <= COARSE:  # gains of larger bounds prove these, too
-            x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
+        self._is_centred = self.infeasible and not 1 - ROOM <= self._multiple(level) <= COARSE
+        if self.infeasible:  # gains prove something of any bounds and readings, whichever they were sought for
+            larger = posed.centred() if self._is_centred else posed.loosened(self._multiple(level) * (1 + ROOM))
+            x, y, status = posed.solver.solve(cost, larger)
         with np.errstate(over="ignore", invalid="ignore"):
             gains, ahead = posed.read(y * size)
-            least = -float(cost @ x) * size + float(c @ self._near[self._aim])
+            least = -float(cost @ x) * size + (0.0 if self._is_centred else float(c @ self._near[self._aim]))
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(gains).all() and np.isfinite(ahead).all()):
             return nothing
         # of data that contradict the bounds nobody knows what is attained
-        return -np.inf if self.infeasible or np.isnan(least) else least, gains, ahead
+        unknown = (self.infeasible and not self._is_centred) or np.isnan(least)
+        return -np.inf if unknown else least, gains, ahead
 
     def _multiple(self, level: int) -> float:
         """The least multiple of all bounds under which the program of a level has a solution."""
@@ -309,7 +270,7 @@ class RecordProgram:
         The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
         What is left of a free start then is taken away by the least change of the gains.
         """
-        unit, read = self.unit, self.readings
+        unit, read = self.scaling.unit, self.readings
         gains = np.where(read.below, np.maximum(gains, 0.0), gains)
         meant, begun = self._meant(c, ahead)
         open_ = begun - self.readings.per_time(self.H * gains[:, None])
@@ -319,11 +280,11 @@ class RecordProgram:
             errors[k] = e
             e = np.asarray(self._through[k - 1].dot(e) + open_[k].dot(self.F[k - 1]))  # one time earlier
         errors[0] = e
-        return self.leaving_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
+        return self.leaving_nothing(c, gains + np.einsum("rn,rn->r", self.scaling.filter[0], errors[read.nodes]) / unit)
 
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
-        meant = np.asarray(np.linalg.solve(np.swapaxes(self.L[1:], 1, 2), ahead[:, :, None])[:, :, 0])
+        meant = np.asarray(np.linalg.solve(np.swapaxes(self.scaling.L[1:], 1, 2), ahead[:, :, None])[:, :, 0])
         begun = np.zeros((len(self.readings.times), len(c)))
         begun[:-1] = products(np.swapaxes(self.F, 1, 2), meant)
         begun[self._aim] += c
@@ -340,7 +301,7 @@ class RecordProgram:
         So rounding that one gap makes grow is met at the next sample.
         """
         read, found = self.readings, []
-        filter_ = np.where(read.below[:, None], 0.0, self._filter[0] / self.unit[:, None])
+        filter_ = np.where(read.below[:, None], 0.0, self.scaling.filter[0] / self.scaling.unit[:, None])
         solved = np.where(read.below, np.maximum(gains, 0.0), gains), self._meant(c, ahead)[1]
         nothing = np.zeros_like(gains), np.zeros_like(solved[1])
         for start, meant in (solved, nothing):
@@ -371,7 +332,7 @@ class RecordProgram:
     def _free(self) -> FreeStart:
         read = self.readings
         H = rows_of_start(self.H, self.F, read.offsets, np.eye(len(self.table.D)))
-        return FreeStart(H, read.below, self.unit)
+        return FreeStart(H, read.below, self.scaling.unit)
 
     def _closed(self, c: Array, gains: Array, rest: Array) -> bool:
         """Whether what gains leave of a free start is rounding."""
@@ -393,9 +354,9 @@ class RecordProgram:
     @cached_property
     def _through(self) -> Array:
         """(K-1, n, n) how a difference of costates passes a time with the filter's gains, and the gap before."""
-        H = np.where(self.readings.below[:, None], 0.0, self.H / self.unit[:, None])
+        H = np.where(self.readings.below[:, None], 0.0, self.H / self.scaling.unit[:, None])
         n = len(self.table.D)
-        squares = self.readings.per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), n**2))
+        squares = self.readings.per_time((H[:, :, None] * self.scaling.filter[0][:, None, :]).reshape(len(H), n**2))
         return np.asarray(np.matmul(np.swapaxes(self.F, 1, 2), np.eye(n) - squares.reshape(-1, n, n)[1:]))
 
     @cached_property

@@ -5,6 +5,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.accuracy import record_program
@@ -272,6 +273,37 @@ def test_rows_that_no_reading_shows_take_one_program_together(monkeypatch, contr
     else:
         assert np.all(np.isinf(found.upper) & np.isinf(found.lower))
         assert len(asked) == 1
+
+
+@pytest.mark.parametrize("seed", few(range(24), 17, 18))
+def test_less_noise_never_leaves_more_down_to_none(seed):
+    """Where w changes within a gap no coarse cells explain nearly exact readings: 1e5 times too much was left.
+
+    Where noise and disturbances are further apart than a solver's digits, a third too much.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 4))
+    p, q = rng.integers(1, n + 1, 2).tolist()
+    A, C, G = rng.normal(size=(n, n)), rng.normal(size=(p, n)), rng.normal(size=(n, q))
+    gaps = rng.uniform(0.2, 1.2, int(rng.integers(3, 8)))
+    x, states = rng.normal(size=n), []
+    for quarter in [0.0, *np.repeat(gaps / 4, 4)]:
+        moved = np.vstack([np.column_stack([A, G @ rng.uniform(-0.08, 0.08, q)]), np.zeros(n + 1)])
+        x = (expm(moved * quarter) @ [*x, 1.0])[:n]
+        states.append(x)
+    times, readings = np.append(0.0, gaps.cumsum()), np.array(states)[::4] @ C.T
+    driven, before = 0.1 * np.linalg.norm(C @ G, axis=1) * gaps.mean(), np.full(n, np.inf)
+    for share in (1e-2, 1e-5, 1e-7, 1e-9, 1e-12, 0.0):
+        found = state_interval(
+            sd.Plant(A, C, G=G), [(t, y, None) for t, y in zip(times, readings, strict=True)],
+            w_bound=np.full(q, 0.1), v_bound=share * driven, initial_error=np.full(n, 3.0),
+        )  # fmt: skip
+        width, rounding = found.upper - found.lower, 1e-9 * np.abs(x).max()
+        assert np.all(width <= 1.02 * before + rounding)
+        assert np.all(np.abs(x - (found.upper + found.lower) / 2) <= width / 2)
+        if p == n:  # the last sample alone leaves so much
+            assert np.all(width <= 2.04 * np.abs(np.linalg.inv(C)) @ (share * driven) + rounding)
+        before = width
 
 
 def test_exact_readings_say_that_the_program_is_degenerate():

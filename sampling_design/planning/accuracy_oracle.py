@@ -41,7 +41,7 @@ class GridSpan(NamedTuple):
 
     last: int  # the step of that sample; in a sequence, its number
     begin: int  # begin, length: offsets from it that are looked at
-    length: int
+    length: float
     arrived: Mask | None = None  # (k, p): what is in of the last samples, of some of which not all is
     end: float = np.inf  # when it is over, in a sequence
 
@@ -292,14 +292,14 @@ class AccuracyOracle:
         self,
         window: GridWindow,
         g: int,
-        last: int,
-        length: int,
+        last: float,
+        length: float,
         above: float = np.inf,
         *,
-        begin: int = 0,
+        begin: float = 0,
         closely: bool = True,
         known: float = -np.inf,
-    ) -> dict[int, float]:
+    ) -> dict[float, float]:
         """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
 
         Where it holds at all times: at every quarter, then wherever the responses found so far, each of which can end
@@ -314,32 +314,32 @@ class AccuracyOracle:
         if goal.at == "given times":
             steps = self.problem.steps
             first = begin + (goal.steps - last - begin) % steps
-            within = {int(o) for each in first for o in np.arange(each, length + 1, steps)}
-            return {offset: self.reach(window, offset, g) for offset in sorted(within)}
+            given = np.unique([o for each in first for o in np.arange(each, length + WHOLE, steps)]).tolist()
+            return {offset: self.reach(window, offset, g) for offset in given}
         ends = [length, begin] if closely else [length]
-        within = {begin + round((length - begin) * i / QUARTERS) for i in range(1, QUARTERS)} if closely else set()
-        found = dict[int, float]()
+        parts = (begin + round((length - begin) * i / QUARTERS) for i in range(1, QUARTERS) if closely)
+        within = {min(part, length) for part in parts}
+        found, looks = dict[float, float](), [*range(int(np.ceil(begin)), int(np.ceil(length))), length]
         for offset in [*dict.fromkeys(ends), *sorted(within - {*ends})]:
             row, added = self._opened(offset, g)
             if known == -np.inf or float(window.at_most(row[None])[0] + added) > known * goal.tolerance:
                 found[offset] = self.reach(window, offset, g)
         while closely and found and len(found) < OFFSETS and not (above < np.inf and max(found.values()) < FAR * above):
-            rows = np.array([self._opened(offset, g)[0] for offset in range(begin, length + 1)])
-            more = np.array([added for _, added in self._open[g][begin : length + 1]])
+            rows, more = (np.array(each) for each in zip(*(self._opened(o, g) for o in looks), strict=True))
             attained = np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + more
-            farthest = begin + int(np.argmax(attained))
-            if farthest in found or attained[farthest - begin] <= known * goal.tolerance:
+            farthest = looks[int(np.argmax(attained))]
+            if farthest in found or attained.max() <= known * goal.tolerance:
                 break
             found[farthest] = self.reach(window, farthest, g)
         return found
 
-    def _window(self, chosen: Mask, span: GridSpan, back: int) -> GridWindow:
+    def _window(self, chosen: Mask, span: GridSpan, back: float) -> GridWindow:
         """The window of samples of an endless schedule up to a step, without what is out."""
         knots = self._knots(chosen, span.last, back)
         self.work.add(WINDOW, len(knots))
         return GridWindow(self.discrete, knots, span.known(chosen[knots % self.problem.steps]))
 
-    def _knots(self, chosen: Mask, last: int, back: int) -> Index:
+    def _knots(self, chosen: Mask, last: int, back: float) -> Index:
         """The steps of its samples."""
         steps = self.problem.steps
         at = np.flatnonzero(chosen.any(axis=1))
@@ -357,7 +357,7 @@ class AccuracyOracle:
 
     def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> None:
         """Find how far back matters."""
-        before, back = np.zeros(len(goals)), 2 * span.length
+        before, back = np.zeros(len(goals)), 2 * int(span.length)
         while True:
             window = self._window(chosen, span, back)
             now = np.array([self.reach(window, span.length, g) for g in goals])
@@ -374,25 +374,30 @@ class AccuracyOracle:
         self.back = max(2 * self.back, 2 * int(np.max(np.diff(np.append(at, at[0] + self.problem.steps)))))
         return True
 
-    def _opened(self, offset: int, g: int) -> tuple[Array, float]:
+    def _opened(self, offset: float, g: int) -> tuple[Array, float]:
         """The goal's row, so many steps after a sample, as a row there, and what the disturbance adds since."""
-        known = self._open[g]
-        while len(known) <= offset:
-            row, total = known[-1]
-            along = row @ self.discrete.Gamma
-            size = float(np.linalg.norm(along) if self.discrete.ball else np.abs(along).sum())
-            known.append((row @ self.discrete.F, total + size))
-        return known[offset]
+        known, whole = self._open[g], int(offset)
+        while len(known) <= whole:
+            known.append(self._earlier(*known[-1], 1))
+        return known[whole] if whole == offset else self._earlier(*known[whole], offset - whole)
 
-    def reach(self, window: GridWindow, offset: int, g: int) -> float:
+    def _earlier(self, row: Array, total: float, steps: float) -> tuple[Array, float]:
+        """The same a step, or a part of one, before."""
+        n, flow = self.discrete.n, self.discrete.flow(steps)
+        along = row @ flow[:, n:]
+        size = float(np.linalg.norm(along) if self.discrete.ball else np.abs(along).sum())
+        return row @ flow[:, :n], total + size
+
+    def reach(self, window: GridWindow, offset: float, g: int) -> float:
         """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
         self.work.add(window.price, window.entries)
         row, added = self._opened(offset, g)
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
 
-    def _trajectory(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
+    def _trajectory(self, window: GridWindow, last: int, after: float, g: int) -> HiddenTrajectory | None:
         """The strongest trajectory against a goal, so many steps after the last sample of a window."""
+        offset = int(after)  # choices are on the grid
         first, each, step = SIMULATED
         self.work.spend(first + each * len(window.knots) + step * float(window.knots[-1] - window.knots[0]))
         response = window.strongest(self._opened(offset, g)[0])

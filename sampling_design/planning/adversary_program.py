@@ -50,14 +50,14 @@ class DisturbedTrajectory:
         return float(np.max(sizes, initial=0.0))
 
 
-def in_stages(discrete: DiscretePlant, knots: Index) -> bool:
+def in_stages(discrete: DiscretePlant, knots: Array | Index) -> bool:
     """Whether a window of samples at `knots` is so large that it is solved stage by stage."""
-    many = sum(len(discrete.gap(int(d))[2]) for d in np.diff(knots)) * discrete.G.shape[1]
+    many = sum(len(discrete.gap(d)[2]) for d in np.diff(knots).tolist()) * discrete.G.shape[1]
     return not discrete.ball and many > MANY
 
 
 class GridWindow:
-    """Samples at `knots` (steps, increasing), each with its `measured` (K, p); all starts at rest at knots[0].
+    """Samples at `knots` (steps or parts of them), each with its `measured` (K, p); all starts at rest at knots[0].
 
     Or in the set `start` of z there, which may leave it free: what is then wanted may be unbounded.
     `excess`: (K, p) weights; where not zero, an output may exceed its bound, and its excess is what is minimised.
@@ -66,14 +66,14 @@ class GridWindow:
     def __init__(
         self,
         discrete: DiscretePlant,
-        knots: Index,
+        knots: Array | Index,
         measured: Mask,
         excess: Array | None = None,
         start: InitialSet | None = None,
     ):
         self.discrete, self.knots, self.measured, self.excess, self.start = discrete, knots, measured, excess, start
         n, q = discrete.n, discrete.G.shape[1]
-        self._gaps = [discrete.gap(int(d)) for d in np.diff(knots)]
+        self._gaps = [discrete.gap(d) for d in np.diff(knots).tolist()]
         self._w_at = np.concatenate([[0], np.cumsum([len(cells) * q for _, _, cells in self._gaps])]).astype(int)
         self._w_at += n * len(knots)
         self._slack_at = int(self._w_at[-1])
@@ -218,7 +218,7 @@ class GridWindow:
             left = states[k + 1] - self._gaps[k][0] @ states[k] - blocks @ u
             u = u + np.linalg.lstsq(blocks, left, rcond=1e-10)[0]
             states[k + 1] = self._gaps[k][0] @ states[k] + blocks @ u
-            w.append(np.repeat(u.reshape(len(cells), q), cells, axis=0))
+            w.append(np.repeat(u.reshape(len(cells), q), cells.astype(int), axis=0))
         steps = np.concatenate(w) if w else np.zeros((0, q))
         return forced_response(discrete, self.knots - self.knots[0], states, steps)
 

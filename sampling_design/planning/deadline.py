@@ -168,13 +168,13 @@ def _in_gap(plan: PlanFigures, sequence: SampleSequence, i: int, span: GridSpan,
         yield GapRatios(i, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios, span.end)
 
 
-def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, judged: dict[int, float], level: float) -> None:
+def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, judged: dict[float, float], level: float) -> None:
     """Look between neighbours on both sides of a level until they are a step apart."""
     offsets = sorted(judged)
     for low, high in pairwise(offsets):
         sides = (judged[low] >= level, judged[high] >= level)
         while sides[0] != sides[1] and high - low > 1:
-            middle = (low + high) // 2
+            middle = -(-(low + high) // 2)  # the last may end within a step
             judged[middle] = plan.oracle.reach(window, middle, g)
             low, high = (middle, high) if (judged[middle] >= level) == sides[0] else (low, middle)
 

@@ -50,8 +50,8 @@ class DiscretePlant:
     step: float
     ball: bool  # whether |w| is Euclidean
     parts: int = 1  # of each step of the grid: so many times as many cells of w
-    _flows: dict[int, Array] = field(default_factory=dict, init=False)
-    _gaps: dict[int, tuple[Array, Array, list[int]]] = field(default_factory=dict, init=False)
+    _flows: dict[float, Array] = field(default_factory=dict, init=False)
+    _gaps: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict, init=False)
     _grids: dict[object, tuple[Array, Array, float]] = field(default_factory=dict, init=False)
 
     @property
@@ -88,13 +88,13 @@ class DiscretePlant:
         """Of one step."""
         return self.flow(1)[:, self.n :]
 
-    def flow(self, steps: int) -> Array:
-        """[F, Gamma] of so many steps with constant w."""
+    def flow(self, steps: float) -> Array:
+        """[F, Gamma] of so many steps, or a part of one, with constant w."""
         if steps not in self._flows:
             self._flows[steps] = np.asarray(forced_flow(self.A, self.G, [steps * self.step])[0])
         return self._flows[steps]
 
-    def gap(self, steps: int) -> tuple[Array, Array, list[int]]:
+    def gap(self, steps: float) -> tuple[Array, Array, Array]:
         """F of a gap, Gamma (n, m q) of its cells, and the steps of each cell, in order of time."""
         if steps not in self._gaps:
             self._gaps[steps] = self._cut(steps)
@@ -116,12 +116,12 @@ class DiscretePlant:
             self._grids[key] = _even(found), power, log
         return self._grids[key]
 
-    def _cut(self, steps: int) -> tuple[Array, Array, list[int]]:
-        number = min(self.parts * max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
-        edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
-        n, cells = self.n, np.diff(edges).tolist()
+    def _cut(self, steps: float) -> tuple[Array, Array, Array]:
+        number = min(self.parts * max(CELLS, int(np.ceil(steps * self._turned / TURN))), int(np.ceil(steps)))
+        edges = np.linspace(0, steps, number + 1)
+        n, cells = self.n, np.diff(np.round(edges) if steps % 1 == 0 else edges)
         F, blocks = np.eye(n), []
-        for width in reversed(cells):
+        for width in reversed(cells.tolist()):
             joint = self.flow(width)
             blocks.append(F @ joint[:, n:])
             F = F @ joint[:, :n]

@@ -31,7 +31,7 @@ from sampling_design.planning.sequence_deviation import (
 )
 from sampling_design.planning.sequence_system import plan_system, sequence_system
 from sampling_design.planning.transient_bound import cut_gains, nodes_out, out_at, settled_factors, wider_by
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.jitter import ON_TIME
 
@@ -110,7 +110,7 @@ def _bounded_worst(
 ) -> float:
     """The same of the goals that are guaranteed; what a change does decays: so many gaps no worse end it."""
     worst = before = here = 0.0
-    where: tuple[GridWindow, int, int, int, int] | None = None
+    where: tuple[GridWindow, int, float, float, int] | None = None
     oracle, back = plan.oracle, departs_and_returns(plan, sequence)[1]
     goals, out, count = oracle.problem.guaranteed, longest_out(plan), judged_at_once(plan)
     for i, span in enumerate(spans_of(plan, sequence)):
@@ -159,7 +159,7 @@ def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[GridSpan]:
     if sequence.result_delay is None:
         knots = _knots(plan.oracle, sequence)
         return [
-            GridSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), int(knots[k + 1] - knots[k]), end=times[k + 1])
+            GridSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), knots[k + 1] - knots[k], end=times[k + 1])
             for k, skipped in enumerate(sequence.since - times[:-1])
             if k >= sequence.start
         ]
@@ -177,15 +177,17 @@ def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[GridSpan]:
     return found
 
 
-def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Index:
-    """The steps of a sequence's samples."""
-    return np.floor(sequence.times / oracle.problem.step + 0.5).astype(np.intp)  # halves never meet
+def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Array:
+    """The steps of a sequence's samples, whole where they are on the grid."""
+    steps = sequence.times / oracle.problem.step
+    whole = np.round(steps)
+    return np.where(np.abs(steps - whole) <= WHOLE, whole, steps)
 
 
-def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> tuple[GridWindow, int]:
+def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> tuple[GridWindow, float]:
     """The window of what is in during a stretch, and the step of its last sample."""
     knots, measured, begins = _read_by(oracle, sequence, span)
-    start, last = oracle.initial_set if begins else None, int(knots[-1])
+    start, last = oracle.initial_set if begins else None, float(knots[-1])
     key = (knots - last).tobytes(), measured.tobytes(), begins
     if key not in oracle.windows:
         while len(oracle.windows) >= WINDOWS:
@@ -194,7 +196,7 @@ def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpa
     return oracle.windows[key], last
 
 
-def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> tuple[Index, Mask, bool]:
+def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> tuple[Array, Mask, bool]:
     """Steps of the samples before a stretch, what is in of them, and whether all begins with the first of them.
 
     They reach as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
@@ -227,7 +229,7 @@ def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until:
 def _ratio_in(oracle: AccuracyOracle, sequence: SampleSequence, span: GridSpan) -> float:
     """The ratio in a stretch: most of a sequence are those of another, by whole periods later, and solved once."""
     knots, measured, begins = _read_by(oracle, sequence, span)
-    phase = int(knots[-1]) % oracle.problem.steps
+    phase = float(knots[-1]) % oracle.problem.steps
     key = (oracle.back, (knots - knots[-1]).tobytes(), measured.tobytes(), begins, span.begin, span.length, phase)
     if key not in oracle.ratios:
         window, last = window_after(oracle, sequence, span)

@@ -53,8 +53,8 @@ class NextSample(Record):
     latest : float
         With the sensors `outputs`, at this very time (`explain` says "by" where any before it will do); after it the
         plan's own times follow. Times up to a period ahead are looked at; the next allowed one of these was found too
-        late, by floats that have samples at steps of the grid; one further on may do again. Where no time
-        keeps every tolerance from now on: that after which they are all kept again soonest. -inf: none is known.
+        late, by floats or within two thousandths of it; one further on may do again. Where no time keeps every
+        tolerance from now on: that after which they are all kept again soonest. -inf: none is known.
     outputs : tuple of str
     alone : dict of str to float
         For each sensor of the plan, the latest time if that sensor is all that is read then.

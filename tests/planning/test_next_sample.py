@@ -17,7 +17,7 @@ from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
-from sampling_design.planning.sequence import known_at, looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.sequence import known_at, looks_back, proven_ratio, settling_time, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.sequence_system import plan_system
 from sampling_design.planning.upcoming_sample import _history, _taken
@@ -136,6 +136,45 @@ def drifting(tolerance, holidays):
     chosen = np.zeros_like(problem.allowed)
     chosen[[9, 57, 105]] = True
     return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+
+
+def every_sixth(A, C, tolerance):
+    """The first state read at every sixth step of the grid, whatever it takes."""
+    states = [f"x{i}" for i in range(len(A))]
+    wanted = sd.PlanRequirement(
+        {states[0]: tolerance}, grid=1.0, period=12.0, w_bound=[0.01] * len(A), sensors={"y": {"noise_bound": 0.1}}
+    )
+    problem = pose_plan(sd.Plant(A, C, states=states, outputs=["y"]), wanted)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[[0, 6]] = True
+    return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+
+
+@pytest.mark.parametrize("zero", [0.0, 1.2e6])
+def test_a_sample_beside_the_grid_counts_from_when_it_was_taken(zero):
+    """The error of a drifting level is v + w d so long after a sample: its tolerance is reached after 6.8."""
+    plan = every_sixth([[0.0]], [[1.0]], 0.168)
+    for taken, latest in ((60.1, 66.0), (60.4, 67.0), (60.7, 67.0)):
+        found = sd.next_sample(plan, [(zero + taken, [0.0], None)])
+        assert found.proven
+        assert found.latest == zero + latest
+        assert found.deadline.breaks
+        assert taken + 6.8 <= found.deadline.time - zero <= taken + 7.8
+
+
+@pytest.mark.parametrize(
+    ("A", "tolerance"), [([[0.0]], 0.168), ([[0, 0.3], [-0.3, 0]], 0.31), ([[0.1, 0.2], [0, 0.1]], 1.12)], ids=str
+)
+def test_floats_attain_of_samples_beside_the_grid_what_gains_prove_and_no_more(A, tolerance):
+    plan = every_sixth(A, np.eye(len(A))[:1], tolerance)
+    span = settling_time(plan)
+    for rng in map(np.random.default_rng, range(3)):
+        times = 1200 + np.cumsum(rng.uniform(0.3, 9.0, 3))
+        before, after = planned(plan, 1200 - span, 1200)[0], planned(plan, times[-1] + 0.3, times[-1] + span)[0]
+        every = np.concatenate([before, times, after])
+        sequence = SampleSequence.of(plan.problem, every, np.ones((every.size, 1), dtype=bool), before.size)
+        attained, proven = worst_ratio(plan, sequence), proven_ratio(plan, sequence, {})
+        assert 0.98 * proven < attained <= proven * (1 + 1e-6)
 
 
 def test_times_without_dates_are_told_to_the_step_however_large():

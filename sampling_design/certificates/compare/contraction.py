@@ -18,6 +18,7 @@ from sampling_design.schedules.family import period_of
 FINITE = "`certificate` must be on a periodic schedule: a finite one has no long run."
 MOST_PERIODS = 64
 """A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole periods."""
+ONE_TIME = 1e-9  # share of a period by which times may differ, and be one: a sample at the end of a window lies in it
 MOST_AT_ONCE = 4096  # windows that are followed side by side: a few megabytes
 
 
@@ -86,18 +87,21 @@ def spectral_radius(certificate: Certificate, horizon: float, cost: str = "certi
 
 def radius_within(clock: Budget, certificate: Certificate, horizon: float, cost: str = "certificate") -> float:
     """`spectral_radius` within a budget. Raises BudgetSpentError where that ends first."""
-    schedule = period_of(certificate.schedule, FINITE)
+    schedule = period_of(certificate.schedule, FINITE).primitive()
     period, first = schedule.period, schedule.first
     if not certificate.plant.n_states:
         return 0.0
-    ratio = horizon / period
-    whole = next((k for k in range(1, MOST_PERIODS) if abs(k * ratio - round(k * ratio)) < 1e-9), MOST_PERIODS)
+    ratio, near = horizon / period, ONE_TIME * period
+    whole = next((k for k in range(1, MOST_PERIODS) if abs(k * ratio - round(k * ratio)) < ONE_TIME), MOST_PERIODS)
     problem, ends = _stated(certificate, cost)
     offsets, worst = first + (schedule.times - schedule.times[0]), 0.0
     for some in np.array_split(offsets, max(1, whole * len(offsets) // MOST_AT_ONCE)):
         clock.check()
         starts = (some[:, None] + horizon * np.arange(whole)).ravel()
-        sampled = [schedule.between(start, start + horizon, closed=ends).times for start in starts.tolist()]
+        times = schedule.between(starts.min() - near, starts.max() + horizon + near).times
+        inside = np.searchsorted(times, starts + (near if ends == "right" else -near)).tolist()
+        after = np.searchsorted(times, starts + horizon + near).tolist()
+        sampled = [times[a:b] for a, b in zip(inside, after, strict=True)]
         maps = _along(problem, starts, horizon, sampled, clock).reshape(len(some), whole, problem.size, problem.size)
         product = maps[:, 0]
         for k in range(1, whole):
@@ -136,7 +140,8 @@ def least_contracting(certificate: Certificate, cost: str = "certificate", budge
 def contracting_within(given: Budget, certificate: Certificate, cost: str = "certificate") -> float:
     """`least_contracting` within a budget of which something may be spent already."""
     schedule = period_of(certificate.schedule, FINITE)
-    lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
+    passed = np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4]
+    lengths = passed[np.unique(np.round(passed / schedule.period, 12), return_index=True)[1]]
     best = np.inf
     for length in lengths[::-1]:
         try:
@@ -164,7 +169,7 @@ def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Arr
     ends = starts + length
     times = np.stack([np.append(each, np.full(steps - len(each), end)) for each, end in zip(inner, ends, strict=True)])
     here = np.arange(steps) < np.array([len(each) for each in inner])[:, None]
-    gaps = np.diff(times, prepend=starts[:, None], append=ends[:, None])
+    gaps = np.maximum(np.diff(times, prepend=starts[:, None], append=ends[:, None]), 0.0)
     rows = np.where(here[..., None, None], _rows_at(problem, times), 0.0)  # no sample: nothing is observed
     unlike, which = np.unique(np.round(gaps / length, 14) * length, return_inverse=True)
     which = which.reshape(gaps.shape)

@@ -184,7 +184,7 @@ def ratios(rounds=300, count=8):
         },
         "update, regular, x active": updates(False, x=(-0.3, 0.3)),
         "update, irregular, x active": updates(True, x=(-0.3, 0.3)),
-        "interval of one row": lambda: program.solve(last, np.eye(4)[0]),
+        "interval of one row": lambda: program.solve(last, np.eye(4)[:1]),
     }
     taken = {name: [] for name in steps}
     for _ in range(rounds):

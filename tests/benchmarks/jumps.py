@@ -92,8 +92,9 @@ def certified(states: int, samples: int, outputs: int, regular: bool = True, rat
 def designed(states: int, samples: int, outputs: int, regular: bool = True, losses: bool = False) -> Call:
     """Of oscillators that no output sees decay."""
     del regular
-    A = np.kron(np.diag(1.0 + 0.7 * np.arange(states // 2)), [[0.0, 1.0], [-1.0, 0.0]])
-    of = sd.Plant(A, plant(states, outputs).C)
+    pairs = max(1, states // 2)
+    A = np.kron(np.diag(1.0 + 0.7 * np.arange(pairs)), [[0.0, 1.0], [-1.0, 0.0]])
+    of = sd.Plant(A, plant(2 * pairs, outputs).C)
     wanted = sd.Requirement(window=2 * np.pi, samples=samples, spacing=0.04 * np.pi)
     made_of = sd.design_schedule(of, wanted) if losses else None
     return lambda: sd.design_schedule(of, wanted) if made_of is None else design.sample_losses(made_of)
@@ -487,7 +488,7 @@ VERBS = {
     ),
     "latex": Verb(of_certificate(lambda of, known: known.to_latex()), {"irregular": IRREGULAR}),
     "plan": Verb(planned_samples, STOCHASTIC),
-    "largest box": Verb(over_box(lambda of, at: uncertain.largest_box(of, at, budget=20)), BOXES),
+    "largest box": Verb(over_box(lambda of, at: uncertain.largest_box(of, at, eta=0.02, budget=20)), BOXES),
     "detectability": Verb(
         lambda states, samples, outputs, regular=True: (
             lambda: sd.certificates.certify_detectability(plant(states, outputs))

@@ -10,7 +10,7 @@ from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
@@ -52,7 +52,7 @@ def error_map(certificate: Certificate, start: float, horizon: float, cost: str 
     checks.positive("horizon", horizon)
     problem, ends = _stated(certificate, cost)
     sampled = certificate.schedule.between(start, start + horizon, closed=ends).times
-    found: Array = _along(problem, np.array([start]), horizon, [sampled])[0]
+    found: Array = _along(problem, np.array([start]), horizon, sampled, np.array([[0], [len(sampled)]]))[0]
     return found
 
 
@@ -99,10 +99,9 @@ def radius_within(clock: Budget, certificate: Certificate, horizon: float, cost:
         clock.check()
         starts = (some[:, None] + horizon * np.arange(whole)).ravel()
         times = schedule.between(starts.min() - near, starts.max() + horizon + near).times
-        inside = np.searchsorted(times, starts + (near if ends == "right" else -near)).tolist()
-        after = np.searchsorted(times, starts + horizon + near).tolist()
-        sampled = [times[a:b] for a, b in zip(inside, after, strict=True)]
-        maps = _along(problem, starts, horizon, sampled, clock).reshape(len(some), whole, problem.size, problem.size)
+        within = np.searchsorted(times, [starts + (near if ends == "right" else -near), starts + horizon + near])
+        maps = _along(problem, starts, horizon, times, within, clock)
+        maps = maps.reshape(len(some), whole, problem.size, problem.size)
         product = maps[:, 0]
         for k in range(1, whole):
             product = maps[:, k] @ product
@@ -163,14 +162,20 @@ def _stated(certificate: Certificate, cost: str) -> tuple[WindowProblem, str]:
     return problem, "both" if cost == "paper" else "right"
 
 
-def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Array], clock: Budget = ENDLESS) -> Array:
-    """The error maps over windows of one length, side by side, in the plant's coordinates, shape (windows, n, n)."""
-    n, steps = problem.size, max(map(len, inner))
-    ends = starts + length
-    times = np.stack([np.append(each, np.full(steps - len(each), end)) for each, end in zip(inner, ends, strict=True)])
-    here = np.arange(steps) < np.array([len(each) for each in inner])[:, None]
+def _along(
+    problem: WindowProblem, starts: Array, length: float, sampled: Array, within: Index, clock: Budget = ENDLESS
+) -> Array:
+    """The error maps over windows of one length, side by side, in the plant's coordinates, shape (windows, n, n).
+
+    Window k has the samples at the times `sampled` from number `within[0, k]` on, up to `within[1, k]`.
+    """
+    n, ends, first = problem.size, starts + length, within[0][:, None]
+    steps = int(np.max(within[1] - within[0]))
+    number = np.minimum(first + np.arange(steps), len(sampled) - 1)
+    here = first + np.arange(steps) < within[1][:, None]
+    times = np.where(here, sampled[number], ends[:, None])
     gaps = np.maximum(np.diff(times, prepend=starts[:, None], append=ends[:, None]), 0.0)
-    rows = np.where(here[..., None, None], _rows_at(problem, times), 0.0)  # no sample: nothing is observed
+    rows = np.where(here[..., None, None], _rows_at(problem, sampled)[number], 0.0)  # no sample: nothing is observed
     unlike, which = np.unique(np.round(gaps / length, 14) * length, return_inverse=True)
     which = which.reshape(gaps.shape)
     F, W = problem.flow(unlike)

@@ -45,7 +45,7 @@ class NextChoices:
         self, plan: Plan, history: SampleSequence, now: float, budget: Budget = ENDLESS, *, prove: bool = True
     ):
         self.budget, self.plan, self.history, self.now, self.clock = budget, plan, history, now, plan.clock
-        self.prove = prove
+        self.prove, self._looks = prove, budget if prove else ENDLESS
         self.level = max(NEAR, plan.ratio)
         self._known: dict[tuple[float, bytes], float] = {}
         self._ratios: dict[tuple[float, bytes, bytes], float] = {}
@@ -199,8 +199,7 @@ class NextChoices:
         if key not in self._known:
             self._known[key] = np.inf
             for sequence in self.sequences(choice):
-                looks = self.budget if self.prove else ENDLESS
-                found = worst_ratio(self.plan, sequence, above, self._until(sequence), budget=looks)
+                found = worst_ratio(self.plan, sequence, above, self._until(sequence), budget=self._looks)
                 if found < self._known[key]:
                     self._known[key], self._chosen[key] = found, sequence
                 if found <= self.level:
@@ -218,7 +217,7 @@ class NextChoices:
     def latest(self, sensor: int | None) -> Option:
         """The latest option that keeps the tolerances: doubling, then halving; one by one where that finds none."""
         last, period = float(self.history.times[-1]), self.plan.schedule.period
-        alone = reached_at(self.plan, self.history, self.now, max(self.now, last) + period, self.level)
+        alone = reached_at(self.plan, self.history, self.now, max(self.now, last) + period, self.level, self._looks)
         options = [option for option in self.options(sensor) if option[0] < alone]
         if not options:
             return self._nothing
@@ -307,7 +306,7 @@ class NextChoices:
         """From when on every tolerance is kept if this is the next sample, as floats say."""
         key, found = self._key(choice), np.inf
         for sequence in self.sequences(choice):
-            kept = kept_from(self.plan, sequence, self._until(sequence), self.level, min(latest, found))
+            kept = kept_from(self.plan, sequence, self._until(sequence), self.level, min(latest, found), self._looks)
             if kept < found:
                 found, self._chosen[key] = kept, sequence
         return found

@@ -15,6 +15,7 @@ from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.sequence import is_past, judged_at_once, longest_out, span_begin, spans_of, window_after
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, sequence_filter
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import ENDLESS, Budget
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,15 @@ def first_deadline(plan: PlanFigures, sequence: SampleSequence, until: float) ->
     return min(firsts, key=lambda deadline: deadline.time) if firsts else nearest
 
 
-def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: float, latest: float = np.inf) -> float:
-    """From when on every goal stays at most so high; infinite if that is later than `latest`.
+def kept_from(
+    plan: PlanFigures,
+    sequence: SampleSequence,
+    until: float,
+    level: float,
+    latest: float = np.inf,
+    budget: Budget = ENDLESS,
+) -> float:
+    """From when on every goal stays at most so high; infinite if that is later than `latest`, or the budget is over.
 
     Where a goal is too high up to the end of a gap, from the sample there on.
     """
@@ -83,18 +91,23 @@ def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: 
         if above.size:
             after = int(above[-1]) + 1
             kept = max(kept, float(gap.times[after] if after < gap.times.size else gap.end))
-        if kept > latest:
+        if kept > latest or budget.over:
             return np.inf
     return kept
 
 
-def reached_at(plan: PlanFigures, history: SampleSequence, since: float, until: float, level: float) -> float:
-    """When the first goal is above a level if nothing more is measured; infinite if none is before a time."""
+def reached_at(
+    plan: PlanFigures, history: SampleSequence, since: float, until: float, level: float, budget: Budget = ENDLESS
+) -> float:
+    """When the first goal is above a level if nothing more is measured; infinite if none is before a time.
+
+    Once the budget is over, of the goals that were looked at by then.
+    """
     past = _ending(history, max(until, float(history.times[-1]) + WHOLE * plan.problem.step), since)
     ahead = spans_of(plan, past)
     if past.result_delay is None:
         ahead = [span for span in ahead if span.last == len(past.times) - 2]
-    judged = [each for i, span in enumerate(ahead) for each in _in_gap(plan, past, i, span, level)]
+    judged = [e for i, span in enumerate(ahead) if not budget.over for e in _in_gap(plan, past, i, span, level)]
     judged += _deviations(plan, past, np.inf)
     over = [float(each.times[each.ratios > level][0]) for each in judged if np.any(each.ratios > level)]
     return min(over, default=np.inf)

@@ -326,6 +326,22 @@ def test_within_a_budget_the_latest_sample_that_is_proven_by_then_is_the_answer(
         sd.next_sample(week, now=0.0, budget=0.0)
 
 
+def test_once_a_budget_is_over_nobody_looks_for_when_the_tolerances_are_kept_again(week):
+    """Nothing is known at the start, so that no sample keeps them from then on."""
+    full = sd.next_sample(week, now=0.0)
+    with Counted().running() as clock:
+        sd.next_sample(week, now=0.0)
+    whole = clock.read()
+    assert full.complete
+    assert 0 < full.kept_from < np.inf
+    with Counted().running() as clock:
+        found = sd.next_sample(week, now=0.0, budget=1e-9)
+    assert clock.read() < 0.3 * whole
+    assert not found.complete
+    assert found.kept_from == np.inf
+    assert "No allowed sample is proven to bring the tolerances back: keep to the plan's next one" in found.explain()
+
+
 def test_once_a_budget_is_over_the_filters_gains_prove_no_less_than_is_attained_and_nothing_is_solved(
     week, monkeypatch
 ):

@@ -308,11 +308,11 @@ class _CellProgram:
         unit, free = np.where(v > 0, v, np.maximum(np.linalg.norm(R, axis=1), 1e-300)), np.flatnonzero(problem.free)
         terms = [np.abs(C) @ np.abs(self.states[k]) for C, k in [(row, at), *((self.read[k][0], k) for k in used)]]
         moved = np.abs(np.vstack([c, R])[:, free]) > UNOBSERVABLE * np.vstack([each[..., free] for each in terms])
-        told = (np.abs(R[:, free]) * moved[1:] / unit[:, None]).max(axis=0, initial=0.0)
-        if np.any(moved[0] & (told == 0)):
+        shown = (np.abs(R[:, free]) * moved[1:] / unit[:, None]).max(axis=0, initial=0.0)
+        if np.any(moved[0] & (shown == 0)):
             return np.inf, np.inf
         for each in (c, R):  # a free start is counted in what readings tell of it, whatever its own unit
-            each[..., free] *= (told > 0) / np.where(told > 0, told, 1.0)
+            each[..., free] *= (shown > 0) / np.where(shown > 0, shown, 1.0)
         observed_rows, unobserved = R[:, free], c[free]
         left = unobserved - (
             np.linalg.pinv(observed_rows / unit[:, None]) @ (observed_rows / unit[:, None]) @ unobserved

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, PartialReading, with_censored
-from sampling_design.accuracy.record_rows import rows_of
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDeadline
 from sampling_design.planning.disturbed import from_start, settled_from_start
 from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.recorded_samples import (
+    Reading,
+    RecordedSamples,
+    check_resolved,
+    clock_near_start,
+    put_back,
+    result_times,
+    taken_samples,
+    with_awaited,
+)
 from sampling_design.planning.sequence import known_at, looks_back, time_out
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.records import checks
@@ -38,7 +46,6 @@ class AwaitedResult(NamedTuple):
 
 
 GRID_ALONE = "between its times nothing is proven"
-Reading: TypeAlias = npt.ArrayLike | Sequence[PartialReading | float] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -272,6 +279,7 @@ def next_sample(
     now : float, optional
         A date (without a zone: by the plan's clocks), or the time that has passed since the plan's start [the plant's
         time unit]: a day on which clocks are put forward has 23 h. Default: the last sample of the record, else 0.
+        Where doubles are far apart, one within two of them of the grid counts as on it, those of the record too.
     awaited : iterable of (t, output)
         Samples of the record whose results are not in; each counts from its `result_delay` on. One that should be in by
         now counts as lost. Without a record the plan's own are out.
@@ -289,7 +297,7 @@ def next_sample(
     ------
     ArgumentError
         If the plan does not keep its tolerances, the record is not in order, or what is awaited has no `result_delay`,
-        was not taken by `now`, or is in the record.
+        was not taken by `now`, or is in the record, or a time is so large that no double tells steps of the grid apart.
 
     Notes
     -----
@@ -318,13 +326,17 @@ def next_sample(
     """
     if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
-    taken = _taken(plan, record)
+    taken = taken_samples(plan, record)
     last = taken.times[-1] if taken is not None and taken.times.size else 0.0
-    at = float(last) if now is None else plan.elapsed("now", now)
+    at = given = check_resolved(plan, "now", float(last) if now is None else plan.elapsed("now", now))
     if taken is not None and taken.times.size and at < last - 1e-9 * plan.problem.step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
-    taken = _with_awaited(plan, taken, [*awaited], at)
+    taken = with_awaited(plan, taken, [*awaited], at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
+    zero = clock_near_start(plan, taken, at, soon=budget is not None)
+    if zero:
+        at = float(put_back(plan, np.array(at), zero))
+        taken = None if taken is None else taken._replace(times=put_back(plan, taken.times, zero))
     run = NextChoices(plan, _history(plan, taken, at, soon=budget is not None), at, limit, prove=prove)
     known = known_at(plan, run.history, at, limit)
     exceeded = run.exceeded(known)
@@ -346,90 +358,34 @@ def next_sample(
         deadline = run.later(None, full.t) if keeps else run.breach(best) if exceeded is None else None
     except KeyboardInterrupt:  # the answer is there: nothing more is said beside it
         limit.stop()
-    return NextSample(
+    found = NextSample(
         plan=plan, now=at, latest=full.t, outputs=_named(plan, full.mask), alone=alone, best=best[0],
         best_outputs=_named(plan, best[1]), ratio=full.ratio, proven=full.proven, deadline=deadline,
         alone_deadlines=alone_deadlines, kept_from=full.kept_from, exceeded=exceeded, known=known,
         judged_until=run.judged_until(max(at, full.t)), complete=not limit.over, awaited=_out(plan, run.history, at),
     )  # fmt: skip
+    return _later(found, zero, given) if zero else found
+
+
+def _later(found: NextSample, by: float, now: float) -> NextSample:
+    """The same on a clock that shows so much more, `now` as it was given."""
+
+    def goal(deadline: GoalDeadline | None) -> GoalDeadline | None:
+        return deadline and replace(deadline, time=deadline.time + by)
+
+    return replace(
+        found, now=now, latest=found.latest + by, best=found.best + by, deadline=goal(found.deadline),
+        kept_from=now if found.kept_from == found.now else found.kept_from + by, exceeded=goal(found.exceeded),
+        alone={name: t + by for name, t in found.alone.items()},
+        alone_deadlines={name: replace(each, time=each.time + by) for name, each in found.alone_deadlines.items()},
+        awaited=tuple(
+            one._replace(t=one.t + by, earliest=one.earliest + by, latest=one.latest + by) for one in found.awaited
+        ),
+    )  # fmt: skip
 
 
 def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:
     return tuple(name for name, measured in zip(plan.plant.outputs.names, mask, strict=True) if measured)
-
-
-class _RecordedSamples(NamedTuple):
-    """Samples of a record: times, what each measured, and of that what is in."""
-
-    times: Array
-    measured: Mask
-    known: Mask
-
-
-def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None) -> _RecordedSamples | None:
-    """Times and outputs of a record."""
-    if record is None:
-        return None
-    times: list[float] = []
-    measured: list[Mask] = []
-    for item in rows_of(record, plan.plant, plan.schedule.origin or ""):
-        _, reading, *_ = checks.entries("record", item, (2, 3), "rows (t, y, u)")
-        plain, limits = with_censored(reading, plan.plant.n_outputs)
-        y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))
-        if y is None:
-            continue
-        y[[each.output for each in limits if _as_planned(plan, each)]] = True
-        if not y.any():
-            continue
-        t = checks.number("t", item[0])
-        if y.size != plan.plant.n_outputs or (times and t <= times[-1]):
-            raise ArgumentError(
-                f"`record` must hold {plan.plant.n_outputs} outputs a sample, in order of time, got one at {t!r}."
-            )
-        times.append(t)
-        measured.append(y)
-    mask = np.array(measured, dtype=bool).reshape(-1, plan.plant.n_outputs)
-    return _RecordedSamples(np.array(times), mask, mask)
-
-
-def _as_planned(plan: Plan, reading: CensoredReading) -> bool:
-    """Whether a limit that was read says as much as the plan counts with: "< L" of a sensor that may say so."""
-    term = plan.requirement.sensors.get(plan.plant.outputs.names[reading.output])
-    limit = None if term is None or term.lowest is None else term.detection_limit
-    return limit is not None and reading.began is None and np.isinf(reading.lower) and reading.upper <= limit
-
-
-def _with_awaited(
-    plan: Plan, taken: _RecordedSamples | None, awaited: list[tuple[float, str]], now: float
-) -> _RecordedSamples | None:
-    """A record with the samples whose results are still out; those that should be in by now are lost."""
-    if not awaited:
-        return taken
-    problem, names, tiny = plan.problem, plan.plant.outputs.names, 1e-6 * plan.problem.step
-    if taken is None:
-        raise ArgumentError(
-            "`awaited` needs a `record`: without one the plan was followed, and its own results are out."
-        )
-    found = {t: (measured.copy(), known.copy()) for t, measured, known in zip(*taken, strict=True)}
-    for item in awaited:
-        time, output = checks.entries("awaited", item, (2,), "pairs (t, output)")
-        t, name = checks.number("awaited", time), checks.of_kind("awaited", output, str, "the name of an output")
-        checks.known_keys("`awaited`", [name], names)
-        j = names.index(name)
-        delay = 0.0 if problem.result_delay is None else float(problem.result_delay[j])
-        if not delay:
-            raise ArgumentError(f"`awaited` names {name}, which has no `result_delay`: its results come at once.")
-        near = min(found, key=lambda other: abs(other - t), default=t)
-        t = near if abs(near - t) <= tiny else t
-        if t > now + tiny:
-            raise ArgumentError(f"`awaited` must have been taken by now, {now!r}, got {name} at {t!r}.")
-        measured, _known = found.setdefault(t, (np.zeros(len(names), dtype=bool), np.zeros(len(names), dtype=bool)))
-        if measured[j]:
-            raise ArgumentError(f"`awaited` names {name} at {t!r}, which is in the record or named twice.")
-        measured[j] = t + delay > now + tiny  # else it is lost
-    found = {t: masks for t, masks in sorted(found.items()) if masks[0].any()}
-    both = np.array(list(found.values()), dtype=bool).reshape(-1, 2, len(names))
-    return _RecordedSamples(np.array(list(found)), both[:, 0], both[:, 1])
 
 
 def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult, ...]:
@@ -448,7 +404,7 @@ def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult
     )
 
 
-def _history(plan: Plan, taken: _RecordedSamples | None, now: float, *, soon: bool = False) -> SampleSequence:
+def _history(plan: Plan, taken: RecordedSamples | None, now: float, *, soon: bool = False) -> SampleSequence:
     """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof.
 
     `soon`: by a proof that costs little.
@@ -480,17 +436,8 @@ def _history(plan: Plan, taken: _RecordedSamples | None, now: float, *, soon: bo
         first += 1
     first = 0 if followed.begins else min(first, _unchanged(plan, times))
     sides = np.concatenate([followed.sides, np.zeros((len(taken.times), 2, plan.plant.n_outputs))])
-    come = _result_times(plan, count, taken, now)
+    come = result_times(plan, count, taken, now)
     return replace(followed, times=times, measured=measured, first=first, known_sides=sides, result_times=come)
-
-
-def _result_times(plan: Plan, before: int, taken: _RecordedSamples, now: float) -> Array:
-    """When each result of a history was in: those of the record by now, none earlier than was said."""
-    delay = plan.problem.result_delay
-    if delay is None:
-        return np.zeros((0, 0))
-    known = np.where(taken.known, np.minimum(taken.times[:, None] + delay, now), np.nan)
-    return np.vstack([np.full((before, delay.size), np.nan), known])
 
 
 def _unchanged(plan: Plan, times: Array) -> int:

@@ -17,10 +17,11 @@ from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
+from sampling_design.planning.recorded_samples import taken_samples
 from sampling_design.planning.sequence import known_at, looks_back, proven_ratio, settling_time, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.sequence_system import plan_system
-from sampling_design.planning.upcoming_sample import _history, _taken
+from sampling_design.planning.upcoming_sample import _history
 from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.counted_clock import Counted
@@ -150,8 +151,24 @@ def every_sixth(A, C, tolerance):
     return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
 
 
+def test_where_the_clock_stands_changes_no_answer_as_long_as_doubles_tell_steps_apart():
+    plan = every_sixth([[0.0]], [[1.0]], 0.168)
+    near = sd.next_sample(plan, now=120_000.0)
+    for zero in (1.2e6, 1.2e9, 1.2e12, 1.2e14):
+        for record in (None, [(zero - 6.0, [0.0], None), (zero, [0.0], None)]):
+            found = sd.next_sample(plan, record, now=zero)
+            assert found.proven
+            assert found.keeps
+            assert found.latest == zero + 6.0 == near.latest - near.now + zero
+            assert found.deadline.time == near.deadline.time - near.now + zero
+            assert found.known["x0"] == pytest.approx(near.known["x0"], rel=1e-6)
+    for now, record in ((1e19, None), (None, [(1e100, [0.0], None)])):
+        with pytest.raises(ArgumentError, match="lies so far from the plan's start that no double tells steps"):
+            sd.next_sample(plan, record, now=now)
+
+
 @pytest.mark.parametrize("zero", [0.0, 1.2e6])
-def test_a_sample_beside_the_grid_counts_from_when_it_was_taken(zero):
+def test_a_sample_beside_the_grid_counts_from_when_it_wastaken_samples(zero):
     """The error of a drifting level is v + w d so long after a sample: its tolerance is reached after 6.8."""
     plan = every_sixth([[0.0]], [[1.0]], 0.168)
     for taken, latest in ((60.1, 66.0), (60.4, 67.0), (60.7, 67.0)):
@@ -395,7 +412,7 @@ def test_no_time_is_said_to_be_soon_enough_before_which_a_sample_breaks_a_tolera
     plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
     record = [(t, [0.0]) for t in np.arange(0.0, 16.1, 4.0).tolist()]
     found = sd.next_sample(plan, record, now=now, prove=False)
-    run = NextChoices(plan, _history(plan, _taken(plan, record), now), now)
+    run = NextChoices(plan, _history(plan, taken_samples(plan, record), now), now)
     broken = [t for t, mask in run.options(None) if t < found.latest and run.ratio((t, mask)) > 1]
     assert bool(broken) == breaks
     word = "at" if breaks or spacing else "by"

@@ -83,7 +83,7 @@ class PlanSearch:
         for g, goal in enumerate(self.problem.goals):
             if goal.at == "after each sample":
                 continue
-            if not goal.stochastic:
+            if not goal.stochastic and not self.late:
                 for end in self._typical_ends(g):
                     self.add_weakly_observable(g, end, level, nothing)
         self.sharpen(level)

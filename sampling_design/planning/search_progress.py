@@ -19,8 +19,8 @@ from sampling_design.records.declarations import below
 CONE = (1e-3, 1e-6)  # work of a cone program, and for each entry that is not zero
 STAGES = (1e-2, 1.5e-5)  # of a program over stages, and for each of them, with n states, n^1.5 times
 EXCESS = (2e-3, 4e-6)  # the same where every output is a variable
-WINDOW = (5e-4, 2e-5)  # of posing one in a window of samples, and for each of them
-SIMULATED = (3e-4, 2e-5, 4e-6)  # of simulating what it found, and for each sample and each step of the grid
+WINDOW = (3e-4, 1.7e-5)  # of posing one in a window of samples, and for each of them
+SIMULATED = (2e-4, 1.9e-5, 4e-6)  # of simulating what it found, and for each sample and each step of the grid
 
 COVER, NODE = (5e-3, 2e-5), 0.2
 """Of an integer program, and for each entry; a node of its tree more costs so much of that."""

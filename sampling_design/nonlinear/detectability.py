@@ -20,6 +20,7 @@ from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
 from sampling_design.numerics.linalg import quadratic
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import YesOrNo, short
@@ -148,6 +149,7 @@ def check_detectability(
     pairs: int = 100,
     u: object = None,
     rng: Seed = None,
+    budget: float | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> DetectabilityEvidence:
     """Look at Assumption 7 along random pairs of simulated trajectories.
@@ -175,6 +177,8 @@ def check_detectability(
     u : (m,) array, optional
         Constant input; default 0.
     rng : numpy.random.Generator or its seed, optional
+    budget : float, optional [seconds]
+        No pair begins after it but the first; `pairs` of the evidence says how many were looked at.
     progress : callable, optional
 
     Returns
@@ -217,15 +221,18 @@ def check_detectability(
     count, sets = checks.whole("pairs", pairs, 1), SamplingSet(schedule)
     if count > MOST_PAIRS:
         raise ArgumentError(f"`pairs` must be at most {MOST_PAIRS}: each takes milliseconds, got {pairs!r}.")
-    found = []
+    found, looked, limit = [], 0, Budget(None if budget is None else checks.positive("budget", budget))
     for k in range(count):
+        if k and limit.over:
+            break
         i = 1 + k % sets.distinct
         outcome = study.pair(sets.starting_at(i), left, rng, k < LINEARISED)
         if outcome is not None:
             found.append((outcome, PairWitness(k, i, outcome.t, outcome.difference * plant.signals["states"].scales)))
+        looked = k + 1
         if progress is not None:
-            progress((k + 1) / count, f"{k + 1} of {count} pairs")
-    return study.evidence(found, count - len(found))
+            progress(looked / count, f"{looked} of {count} pairs")
+    return study.evidence(found, looked - len(found))
 
 
 class DetectabilityStudy:

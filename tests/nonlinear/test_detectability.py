@@ -180,3 +180,13 @@ def test_too_many_pairs_and_pairs_that_leave_are_refused():
         check_detectability(burst, SCHEDULE, ([1.0], [2.0]), pairs=1e18, **given)
     with pytest.raises(ArgumentError, match="every pair left it"):
         check_detectability(burst, SCHEDULE, ([1.0], [2.0]), pairs=1, **given)
+
+
+def test_a_budget_ends_the_study_after_some_of_its_pairs():
+    plant, given = from_linear(OSCILLATOR), {"cost": CostFunction(eta=0.1), "duration": 2.0, "rng": 3}
+    full = check_detectability(plant, SCHEDULE, BOX, pairs=6, **given)
+    one = check_detectability(plant, SCHEDULE, BOX, pairs=10**6, budget=1e-9, **given)
+    assert (one.pairs, one.left_out) == (1, 0)
+    assert one.ratios == full.ratios[:1]
+    with pytest.raises(ArgumentError, match=r"`budget` must be positive, got 0\.0"):
+        check_detectability(plant, SCHEDULE, BOX, budget=0.0, **given)

@@ -122,9 +122,9 @@ class GapIntegrals:
         found, k = np.empty((len(g), g.shape[2])), g.shape[2]
         for kind in np.unique(self._kind[at]).tolist():
             own = np.flatnonzero(self._kind[at] == kind)
-            count, _, q = self._kinds[kind] if kind >= 0 else (AT_ONCE + 1, 0, 1)
-            at_once = AT_ONCE // (count * q * k)
-            if not at_once:
+            count, _, q = self._kinds[kind] if kind >= 0 else (0, 0, 0)
+            at_once = AT_ONCE // max(count * q * k, 1)
+            if kind < 0 or not at_once:
                 found[own] = [self._gaps[at[i]].integral(g[i], ball) for i in own.tolist()]
                 continue
             for some in np.split(own, range(at_once, own.size, at_once)):

@@ -177,3 +177,17 @@ def test_gaps_of_a_record_are_integrated_as_closely_as_others_with_a_tenth_of_th
 def test_a_variance_that_rounding_makes_negative_is_none():
     """In states that nearly depend on each other what w does to one is a difference: 1e-20 less than nothing."""
     assert gap_table.state_scales(np.eye(1)[None], np.array([[[-1e-20]]]), [2 * np.eye(1)]) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("ball", [False, True])
+@pytest.mark.parametrize("q", [0, 1, 2])
+def test_integrals_over_many_gaps_are_those_of_each(ball, q):
+    """Also where nothing drives the plant, and over no columns."""
+    A, G = np.array([[0.0, 1.0], [-2.0, -0.1]]), np.array([[0.3, 0.0], [1.0, 0.5]])[:, :q]
+    table = gap_table.GapTable(A, G, np.ones(2))
+    gaps = [table.cut(h, gap_table.PANEL) for h in (0.3, 40.0, 0.5, 0.3)]
+    g, at = np.random.default_rng(1).normal(size=(5, 2, 3)), np.array([3, 0, 1, 2, 1])
+    found = gap_table.GapIntegrals(gaps).over(at, g, ball)
+    each = [gaps[i].integral(columns, ball) for i, columns in zip(at, g, strict=True)]
+    np.testing.assert_allclose(found, each, rtol=1e-13)
+    assert gap_table.GapIntegrals(gaps).over(at, g[:, :, :0], ball).shape == (5, 0)

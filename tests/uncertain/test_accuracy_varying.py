@@ -102,7 +102,19 @@ def test_what_readings_determine_depends_on_no_unit(seed):
     np.testing.assert_allclose(found.lower[:, -1], found.upper[:, -1], rtol=1e-6)
 
 
-def test_what_no_reading_tells_is_without_bound_however_little_it_moves():
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_what_an_exact_sensor_leaves_is_one_disturbance_in_any_unit(unit):
+    plant = TimeVaryingPlant.from_table([0.0, 4.0], [[[0.0]]] * 2, [[[1 / unit]]] * 2, [[[unit]]] * 2)
+    found = sd.guaranteed_accuracy(plant, sd.Schedule([0.0, 1.0, 3.0]), w_bound=[0.1], v_bound=[0.0], end=4.0)
+    t, last = found.times, np.searchsorted([1.0, 3.0], found.times)
+    since = t - np.array([0.0, 1.0, 3.0])[last]
+    taken = np.append(False, np.diff(t) == 0) | (t == 0.0)  # of a sample: after it, and before it
+    since[taken] = 0.0
+    np.testing.assert_allclose(found.upper[0], 0.1 * unit * since, rtol=1e-6, atol=1e-9 * unit)
+    np.testing.assert_allclose(found.lower[0], 0.1 * unit * since, rtol=1e-6, atol=1e-9 * unit)
+
+
+def test_what_no_reading_observes_is_without_bound_however_little_it_moves():
     table = [[[0.0, 1e-12], [0.0, 0.0]]] * 2
     plant = TimeVaryingPlant.from_table([0.0, 1.0], table, [[[0.0, 0.0]]] * 2, [[[1.0], [0.0]]] * 2)
     found = sd.guaranteed_accuracy(

@@ -305,14 +305,18 @@ class _CellProgram:
         R = np.vstack([np.zeros((0, width)), *(self.read[k][0] @ self.states[k][:, :width] for k in used)])
         v = np.concatenate([np.zeros(0), *(self.read[k][1] for k in used)])
         c = row @ self.states[at][:, :width]
-        unit, free = np.where(v > 0, v, np.maximum(np.linalg.norm(R, axis=1), 1e-300)), np.flatnonzero(problem.free)
+        free, known = np.flatnonzero(problem.free), np.append(~problem.free, np.ones(width - n, dtype=bool))
         terms = [np.abs(C) @ np.abs(self.states[k]) for C, k in [(row, at), *((self.read[k][0], k) for k in used)]]
         moved = np.abs(np.vstack([c, R])[:, free]) > UNOBSERVABLE * np.vstack([each[..., free] for each in terms])
-        shown = (np.abs(R[:, free]) * moved[1:] / unit[:, None]).max(axis=0, initial=0.0)
+        # an exact sensor counts in what bounded signals move, and a free start in what it moves readings by
+        unit, changed = np.where(v > 0, v, np.linalg.norm(R[:, known], axis=1)), np.abs(R[:, free]) * moved[1:]
+        shown = (changed[unit > 0] / unit[unit > 0, None]).max(axis=0, initial=0.0)
+        shown = np.where(shown > 0, shown, changed.max(axis=0, initial=0.0))
         if np.any(moved[0] & (shown == 0)):
             return np.inf, np.inf
-        for each in (c, R):  # a free start is counted in what readings tell of it, whatever its own unit
+        for each in (c, R):
             each[..., free] *= (shown > 0) / np.where(shown > 0, shown, 1.0)
+        unit = np.where(unit > 0, unit, np.maximum(np.linalg.norm(R, axis=1), 1e-300))
         observed_rows, unobserved = R[:, free], c[free]
         left = unobserved - (
             np.linalg.pinv(observed_rows / unit[:, None]) @ (observed_rows / unit[:, None]) @ unobserved

@@ -8,6 +8,8 @@ from sampling_design import (
     GapRange,
     PeriodicSchedule,
     Plant,
+    Requirement,
+    Schedule,
     SpacedWindows,
     certificate_exists,
     design_schedule,
@@ -20,6 +22,7 @@ from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.observability.count.zero_count import default_window
 from sampling_design.observability.windows.sampled import observability_gramian
 from sampling_design.plants.modes import split_modes
+from tests.cases import few
 from tests.counted_clock import Counted
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -32,6 +35,22 @@ def test_growth_within_a_window(window):
         window_sigma(SADDLE, PeriodicSchedule([1.0]), window)
     with pytest.raises(ArgumentError, match=r"is too long for this plant: e\^\(A t\) overflows"):
         worst_case_sigma(SADDLE, SpacedWindows(window, 3, 1.0))
+
+
+@pytest.mark.parametrize("gap", [1e4, 1e20, 1e150])
+def test_nothing_is_proven_of_a_plant_that_forgets_all_between_samples(gap):
+    plant = Plant([[-1.0, 1.0], [0.0, -2.0]], [[1.0, 0.0], [0.0, 1.0]])
+    for schedule, window in ((PeriodicSchedule([gap]), 1.5 * gap), (Schedule([0.0, gap, 2 * gap]), 1.2 * gap)):
+        found = window_sigma(plant, schedule, window)
+        assert (found.lower, found.upper, found.status) == (0.0, 0.0, "below rounding")
+
+
+@pytest.mark.parametrize("seed", few(range(4), 0, 1))
+def test_an_integrator_is_designed_over_a_window_that_a_double_hardly_spans(seed):
+    plant = Plant([[0.0, 1.0], [0.0, 0.0]], np.random.default_rng(seed).normal(size=(2, 2)))
+    requirement = Requirement(window=1e9, spacing=5e7, samples=2)
+    found = design_schedule(plant, requirement, starts=1, branches=0)
+    assert found.sigma <= found.upper_bound * (1 + 1e-9)
 
 
 def test_a_window_of_many_samples_takes_no_square_of_their_number():

@@ -186,7 +186,8 @@ class ScaledRows:
         half = vectors / np.sqrt(floored)[..., None, :]
         _, direction = np.linalg.eigh(np.swapaxes(half, -1, -2) @ self.N @ half)
         z = half @ direction[..., -count:]
-        return np.asarray(z / np.sqrt(np.einsum("...iq,ij,...jq->...q", z, self.N, z))[..., None, :])
+        size, rounding = np.einsum("...iq,ij,...jq->...q", z, self.N, z), np.finfo(float).eps * np.linalg.norm(self.N)
+        return np.asarray(z / np.sqrt(np.maximum(size, rounding * np.sum(z**2, axis=-2)))[..., None, :])
 
 
 def lags(times: Array, start: Array, window: float, period: float, below: Mask | bool) -> tuple[Array, Mask]:

@@ -123,8 +123,8 @@ class _PieceRows:
             else:
                 stacked = np.asarray(np.linalg.qr(rows.reshape(len(tau), -1, n), mode="r"))
             singular[part], right[part] = right_directions(stacked)
-            c = np.abs(self.plant.C).max(initial=np.finfo(float).tiny)
-            f = np.abs(flow).max()  # no square of an entry of C/c or flow/f overflows, nor do all underflow
+            # no square of an entry of C/c or flow/f overflows, nor do all underflow
+            c, f = (np.abs(each).max(initial=np.finfo(float).tiny) for each in (self.plant.C, flow))
             squares = np.sum(np.where(weight, np.sum((self.plant.C / c) ** 2, axis=1), 0.0), axis=-1)
             size[part] = c * f * np.sqrt(np.sum(squares * np.sum((flow / f) ** 2, axis=(-1, -2)), axis=-1))
         return singular, right, size, growth
@@ -168,9 +168,9 @@ class _PieceRows:
     def ceiling(self, h: Array, ends: tuple[Array, ...]) -> Array:
         """Proven upper bound on |D F| over intervals of length h with what `at` says of a and of b."""
         fa, fb, ga, gb, pa, pb = ends
-        q = h * h / 8
-        slack = 1 - q * q * self.fourth
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            q = h * h / 8
+            slack = 1 - q * q * self.fourth
             # |F| grows from either end at most by the logarithmic norm: highest where the two bounds cross
             total = max(self.forward + self.backward, 1e-300)
             a, b = (pa, pb) if self.balanced else (fa, fb)

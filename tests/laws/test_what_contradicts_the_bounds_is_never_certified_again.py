@@ -184,6 +184,25 @@ def test_an_exact_sensor_that_is_wrong_needs_no_factor_in_words(kind):
     assert "inf times" not in found.note
 
 
+@pytest.mark.parametrize("seed", few(range(14), 0, 4))
+@pytest.mark.parametrize("kind", ["moving horizon", "filter"])
+def test_no_factor_of_an_exact_sensors_noise_serves_where_disturbances_are_larger(kind, seed):
+    """What gains of a row's two ends disprove together, the same readings were said to agree with: a factor of 1."""
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    given = {"cost": scale_weights(plant, eta=0.1), "w_bound": 0.02, "v_bound": 0.0, "initial_error": 3.0}
+    made = (
+        sd.KalmanFilter(plant, **given) if kind == "filter" else sd.MovingHorizonEstimator(plant, horizon=20.0, **given)
+    )
+    times, rng = np.array([0.81, 2.41, 3.95, 5.5]), np.random.default_rng(seed)
+    for t, y in zip(times, np.cos(times + 0.3) + 0.3 * rng.uniform(-1, 1, 4), strict=True):
+        found = made.update(t, [y])
+        found.interval()
+        if found.contradiction is not None:
+            break
+    assert found.contradiction is not None
+    assert found.contradiction.factor == np.inf or not found.contradiction.alone
+
+
 @pytest.mark.parametrize(("maker", "rows"), few(product(MAKERS, [ROWS, FAR]), 0, 3, 4))
 def test_without_the_sample_that_a_contradiction_names_everything_stands_again(maker, rows):
     """As the batch without it, and a correction does the same; a sample more mends nothing."""

@@ -142,6 +142,8 @@ class EstimateEvidence:
 
     def _least(self, readings: Readings, k: int) -> float:
         """The least factor of the noise of the sample at a time with which the readings agree, to `FACTOR_WITHIN`."""
+        if not any(row.size for row in readings.rows[k]):
+            return np.inf  # exact readings stay exact, however often their noise is taken
         low, high = 1.0, 2.0
         while not self._agrees(readings, k, high):
             low, high = high, 2 * high
@@ -156,7 +158,10 @@ class EstimateEvidence:
         """Whether the readings agree with the bounds if the noise of the sample at a time may be so much larger."""
         kept = () if np.isinf(factor) else tuple(row._replace(size=row.size * factor) for row in readings.rows[k])
         rows = (*readings.rows[:k], kept, *readings.rows[k + 1 :])
-        return not any(rows) or not self.assumed.program(replace(readings, rows=rows)).contradicted
+        if not any(rows):
+            return True
+        program = self.assumed.program(replace(readings, rows=rows))
+        return prove(program, float(readings.times[-1]), requested_rows(self.assumed.plant, None)).disproof is None
 
     def tube(self, times: Array, x: Array) -> StateTube:
         """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""

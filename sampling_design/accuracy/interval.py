@@ -392,7 +392,9 @@ def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Ar
 def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | None = None) -> Interval:
     """Return the interval of each row at t, or the proof that the data contradict the bounds."""
     ends, readings = program.solve(t, rows.matrix, stops=True), program.readings
-    if program.infeasible or any(up.value + down.value < -DISPROVED * (up.width + down.width) for up, down in ends):
+    if program.seems_infeasible or any(
+        up.value + down.value < -DISPROVED * (up.width + down.width) for up, down in ends
+    ):
         disproof = disprove(program, [up.gains + down.gains for up, down in ends])
         if disproof is not None:
             nothing = freeze(np.full(len(rows), np.nan))

@@ -259,6 +259,11 @@ class RecordProgram:
             self._found[level, which] = self.posed(level).grown(which)
         return self._found[level, which]
 
+    @property
+    def seems_infeasible(self) -> bool:
+        """Whether a solver found no trajectory that the readings allow, when a row was asked for last."""
+        return self.infeasible or (self._of_exact is not None and self._of_exact.infeasible)
+
     @cached_property
     def contradicted(self) -> bool:
         """Whether gains prove that the readings contradict the bounds."""
@@ -431,16 +436,20 @@ class RecordProgram:
     def least_growth(self, which: str) -> Array:
         """Return gains for the row 0 that prove best by how much bounds (`WHICH_BOUNDS`) would have to grow.
 
-        Cells become finer until a multiple that suffices is no larger than that but for `CLOSED`.
+        Cells become finer until a multiple that suffices is no larger than that but for `CLOSED`, or none is needed.
+        Where readings are nearly exact, the solver's digits do not suffice, and gains for exact ones are tried, too.
         """
-        best, enough, zero = (0.0, np.zeros(len(self.H))), np.inf, np.zeros(len(self.table.D))
+        gains, enough, zero = np.zeros(len(self.H)), np.inf, np.zeros(len(self.table.D))
+        if self._of_exact:
+            gains = self._of_exact.least_growth(which)
+        best = self.growth(which, gains), gains
         for level in range(LEVELS):
             y, multiple = self._least(level, which)
             if y is not None:
                 enough = min(enough, multiple)
                 gains = self._steadied(zero, *self.posed(level).read(y))
                 best = max(best, (self.growth(which, gains), gains), key=lambda pair: pair[0])
-            if y is None or best[0] >= (1 - CLOSED) * enough:
+            if y is None or best[0] >= (1 - CLOSED) * enough or enough <= 1:
                 break
         return best[1]
 

@@ -144,7 +144,8 @@ def _known(unread: Readings, before: Rows, t: float, rows: Array) -> tuple[Array
     program = RecordProgram(unread.reading([*before, (t, ())]))
     ends = program.solve(t, rows)
     limits = np.array([(-down.value, up.value) for up, down in ends]).T
-    return (limits[0], limits[1]) if not program.infeasible else (limits[0] * np.nan, limits[1] * np.nan)
+    contradicted = program.seems_infeasible and program.contradicted
+    return (limits[0] * np.nan, limits[1] * np.nan) if contradicted else (limits[0], limits[1])
 
 
 def _in_order(

@@ -62,7 +62,7 @@ def _opened(program: RecordProgram, times: Array, x: Array) -> StateTube:
         added[:, i] = [program.after(float(t), row) for t in times]
         for side, sign in enumerate((1.0, -1.0)):
             ends[side, :, i] = sign * _ends(program, times, sign * row)
-    if np.any(ends[0] < ends[1]) or (program.infeasible and program.contradicted):
+    if np.any(ends[0] < ends[1]) or (program.seems_infeasible and program.contradicted):
         nothing = np.full((N, n), np.nan)
         return StateTube(times, nothing, nothing)
     upper, lower = ends

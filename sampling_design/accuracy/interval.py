@@ -296,7 +296,7 @@ def state_interval(
     ----------
     plant : Plant
     record : Measurements or iterable of (t, y, u)
-        In order of time; y is NaN where not measured, u holds from t on. An entry of y may be
+        In any order of time; y is NaN where not measured, u holds from t on. An entry of y may be
         `BelowDetection(0.5)`, `AboveRange(8)` (limits) or `CompositeReading(3.1, since=0.0)` (a composite sample).
     t : float, optional
         From the start on, before the last sample what all samples say of that time; default the last sample.
@@ -306,7 +306,7 @@ def state_interval(
         Not after the first sample; default the first sample.
     w_bound, v_bound : float, array, mapping, or for v a function of time
         As for `guaranteed_accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold
-        pairs (lower, upper); `v_bound` may have a row for each sample.
+        pairs (lower, upper); `v_bound` may have a row for each sample in order of time.
     initial_error : float or (n,) array, optional
         Bound on |x - prior| at `prior_time`, Euclidean or entry by entry. Default: nothing is known.
     of : str, sequence of str, or (r, n) array, optional
@@ -322,8 +322,8 @@ def state_interval(
     Raises
     ------
     ArgumentError
-        If a bound is missing or of another shape, the record is empty or not in order, a row of it says nothing or what
-        another one of its time contradicts, or `t` lies before its start.
+        If a bound is missing or of another shape, the record is empty or begins before `prior_time`, a row of it says
+        nothing or what another one of its time contradicts, or `t` lies before its start.
 
     Notes
     -----

@@ -64,12 +64,13 @@ def read_record(
 ) -> Readings:
     """Return what rows of a record say of a plant under bounds as typed by a user; `also` becomes one of its times.
 
-    Raises ArgumentError if the record is empty or not in order, or a bound is missing or of another shape.
+    Raises ArgumentError if the record is empty or begins before `prior_time`, or a bound is missing or of another
+    shape.
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
     spans, begun = any(each.stamp for item in items for each in item.censored), beginning(items)
     start = begun if prior_time is None else checks.number("prior_time", prior_time)
-    samples, inputs = _in_order(plant, items, start)
+    samples, inputs = _less_inputs(plant, items, start)
     if spans and begun < start:
         raise ArgumentError(f"`prior_time` = {start!r} must not lie after {begun!r}, where an uncertain time begins.")
     if spans and callable(v_bound):
@@ -148,22 +149,19 @@ def _known(unread: Readings, before: Rows, t: float, rows: Array) -> tuple[Array
     return (limits[0] * np.nan, limits[1] * np.nan) if contradicted else (limits[0], limits[1])
 
 
-def _in_order(
+def _less_inputs(
     plant: Plant, items: Sequence[RecordRow], start: float
 ) -> tuple[list[RecordRow], tuple[tuple[float, Array], ...]]:
     """Samples less D u, and inputs."""
-    now, u = start, np.zeros(plant.n_inputs)
+    u = np.zeros(plant.n_inputs)
+    if items and items[0].t < start:
+        raise ArgumentError(f"`prior_time` = {start!r} must not lie after the first row of `record`, {items[0].t!r}.")
     samples: list[RecordRow] = []
     inputs: list[tuple[float, Array]] = []
     for item in items:
-        if item.t < now:
-            raise ArgumentError(
-                f"`record` must be in order of time and not begin before `prior_time`, got {item.t!r} after {now!r}."
-            )
-        now = item.t
         if item.u is not None and plant.n_inputs:
             u = item.u
-            inputs.append((now, u))
+            inputs.append((item.t, u))
         if item.y is not None:
             samples.append(item._replace(y=item.y - plant.D @ u))
     return samples, tuple(inputs)

@@ -52,17 +52,17 @@ def rows_of(record: Iterable[Row], plant: Plant, origin: str = "") -> list[Row]:
 
 
 def arrived(record: Iterable[object], plant: Plant) -> list[RecordRow]:
-    """Return the rows (t, y, u) of a record; those of one time that stand together are one.
+    """Return the rows (t, y, u) of a record in order of time; those of one time are one.
 
     Raises ArgumentError if a row has another form, or as `read_row` and `joined`.
     """
-    found: list[RecordRow] = []
+    rows = list[RecordRow]()
     for item in rows_of(record, plant):
         t, y, *u = checks.entries("record", item, (2, 3), "rows (t, y, u)")
-        row = read_row(t, y, u[0] if u else None, plant.n_outputs, plant.n_inputs)
-        if found and found[-1].t == row.t:
-            row = _joined(found.pop(), row)
-        found.append(row)
+        rows.append(read_row(t, y, u[0] if u else None, plant.n_outputs, plant.n_inputs))
+    found: list[RecordRow] = []
+    for row in sorted(rows, key=lambda row: row.t):
+        found.append(_joined(found.pop(), row) if found and found[-1].t == row.t else row)
     return found
 
 

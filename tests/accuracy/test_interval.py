@@ -189,7 +189,7 @@ def test_one_row_is_two_programs_and_little_beside():
     ("record", "change", "match"),
     [
         ([], {}, "`record` must hold at least one measurement"),
-        ([(1.0, [1.0], None), (0.5, [1.0], None)], {}, "`record` must be in order of time"),
+        (RECORD, {"prior_time": 9e9}, "`prior_time` = 9000000000.0 must not lie after the first row"),
         ([1.0], {}, "`record` must hold rows"),
         (RECORD, {"t": 0.5}, "`t` must not lie before the start"),
         (RECORD, {"initial_error": [-1.0, 1.0]}, "`initial_error` must not be negative"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import Constraints, KalmanFilter, Plant
+from sampling_design import Constraints, KalmanFilter, Measurements, Plant, read_measurements, state_interval
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
@@ -200,3 +200,46 @@ def test_what_cannot_be_corrected_is_refused_and_changes_nothing():
         with pytest.raises(ArgumentError, match=words):
             refused()
         assert mhe.state is state
+
+
+@pytest.mark.parametrize("zero", [0.0, 1.7e9])
+@pytest.mark.parametrize("seed", few(range(12), 0, 5))
+def test_a_record_says_the_same_in_any_order_and_in_parts(seed, zero, tmp_path):
+    """Rows of one time that complete each other are one, to whoever reads them: a file, `merged`, intervals, `run`."""
+    rng = np.random.default_rng(seed)
+    whole = [(zero + t, y, np.zeros(1) if u is None else u) for t, y, u in record(seed, 8)]
+    parts = [(t, np.where(np.arange(2) == i, y, np.nan), u) for t, y, u in whole for i in range(2) if np.isfinite(y[i])]
+    shuffled = [parts[k] for k in rng.permutation([*range(len(parts)), *rng.integers(len(parts), size=2)])]
+    cells = [[repr(float(v)) if np.isfinite(v) else "" for v in (t, *y, *u)] for t, y, u in shuffled]
+    path = tmp_path / "parts.csv"
+    path.write_text("\n".join(map(",".join, [["time", *PLANT.outputs.names, *PLANT.inputs.names], *cells])))
+    t, y, u = map(np.array, zip(*whole, strict=True))
+    half = rng.random(len(parts)) < 0.5
+    one, two = (
+        Measurements(
+            PLANT,
+            *map(np.array, zip(*[row for row, mine in zip(parts, half, strict=True) if mine == side], strict=True)),
+        )
+        for side in (True, False)
+    )
+    for found in (read_measurements(path, PLANT).in_order(), one.merged(two)):
+        assert np.array_equal(found.times, t)
+        assert np.array_equal(found.y, y, equal_nan=True)
+        assert np.array_equal(found.u, u)
+    bounds = {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 9.0, "prior_time": zero}
+    ends = [state_interval(PLANT, rows, **bounds) for rows in (whole, shuffled)]
+    assert np.array_equal([ends[0].lower, ends[0].upper], [ends[1].lower, ends[1].upper])
+    assert np.isfinite(ends[0].upper).all()
+    weights = CostFunction(eta=0.3)
+    runs = [MovingHorizonEstimator(PLANT, horizon=4.0, cost=weights, **bounds).run(r) for r in (whole, shuffled)]
+    np.testing.assert_allclose(runs[0][-1].x, runs[1][-1].x, rtol=1e-9, atol=1e-9)
+
+
+def test_a_row_at_a_time_and_one_that_may_have_been_taken_then_stay_two():
+    """A joined row would say of the sure reading, too, that nobody knows its time."""
+    sure = Measurements(PLANT, [1.0], [[1.0, np.nan]])
+    some = Measurements(PLANT, [(0.5, 1.5)], [[np.nan, 2.0]])
+    both = sure.merged(some)
+    assert [both.span_of(k) for k in range(len(both))] == [None, (0.5, 1.5)]
+    with pytest.raises(ArgumentError, match="contradicts these measurements at 1"):
+        sure.merged(Measurements(PLANT, [1.0], [[1.5, 0.0]]))

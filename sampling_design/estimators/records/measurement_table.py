@@ -15,7 +15,7 @@ from sampling_design.checkers.strict import nearest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, dates, file_io
-from sampling_design.records.arrays import Array, Index
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.dates import UnmixedDates, date_after, time_zone, unambiguous, zoned_date, zoned_text
 from sampling_design.records.declarations import moment
 from sampling_design.records.file_io import MISSING, SINCE, STAMPS, UNTIL, row_name
@@ -144,7 +144,7 @@ class _DateConverter:
 
 
 class MeasurementTable:
-    """Rows that were read so far, eight bytes a cell; a time may come twice if the rows agree."""
+    """Rows that were read so far, eight bytes a cell; those of one time are one."""
 
     def __init__(
         self, where: str, plant: MeasuredPlant, header: list[str], mark: str, clock: _DateConverter, stamp: str
@@ -172,27 +172,19 @@ class MeasurementTable:
         return zoned_text(zero.astimezone(self.clock.zone) if self.clock.named else zero)
 
     def arrays(self) -> tuple[Array, Array, Array]:
-        """Times, outputs and inputs of all rows as they came, each time once; the table is empty after that."""
+        """Times, outputs and inputs of all rows as they came, those of one time as one; the table is empty then."""
         p, m = self.plant.n_outputs, self.plant.n_inputs
         blocks, self._blocks = self._blocks, []
         empty = (np.zeros(0), np.zeros((0, p)), np.zeros((0, m)), np.zeros(0, dtype=int))
         times, y, u, lines = (np.concatenate([empty[i], *(block[i] for block in blocks)]) for i in range(4))
-        order = np.argsort(times, kind="stable")
-        self._fill(times, u, lines, order)
-        twice = np.zeros(times.size, dtype=bool)
-        first = 0
-        for k in order[1:][np.diff(times[order]) == 0].tolist():
-            first = first if times[first] == times[k] else int(order[np.searchsorted(times, times[k], sorter=order)])
-            old, new = (_content(y[i], u[i], self.censored[i]) for i in (first, k))
-            if not np.array_equal(old, new, equal_nan=True):
-                raise FileFormatError(
-                    f"{self.where}: {row_name(self.where, int(lines[k]))} repeats the time of "
-                    f"{row_name(self.where, int(lines[first]))} with other values.",
-                    self.where,
-                )
-            twice[k] = True
-        self.censored = [row for row, again in zip(self.censored, twice.tolist(), strict=True) if not again]
-        return times[~twice], y[~twice], u[~twice]
+        again, clash = join_rows(times, y, u, self.censored)
+        if clash is not None:
+            first, other = (row_name(self.where, int(lines[k])) for k in clash)
+            raise FileFormatError(f"{self.where}: {other} repeats the time of {first} with other values.", self.where)
+        times, y, u, lines = times[~again], y[~again], u[~again], lines[~again]
+        self.censored = [row for row, gone in zip(self.censored, again.tolist(), strict=True) if not gone]
+        self._fill(times, u, lines, np.argsort(times, kind="stable"))
+        return times, y, u
 
     def _fill(self, times: Array, u: Array, lines: Index, order: Index) -> None:
         """Fill blank inputs with what held at the time of their row, whenever that row came."""
@@ -352,9 +344,32 @@ class MeasurementTable:
         return since
 
 
-def _content(outputs: Array, inputs: Array, censored: tuple[CensoredReading, ...]) -> tuple[float, ...]:
-    flat = [x for each in censored for x in (*each[:4], *(each.stamp or ()))]
-    return (*outputs, *inputs, *(np.nan if x is None else x for x in flat))
+def join_rows(
+    times: Array, y: Array, u: Array, censored: list[tuple[CensoredReading, ...]]
+) -> tuple[Mask, tuple[int, int] | None]:
+    """Join rows of one time, known or not, in the place of the first; return who went there, and who contradict.
+
+    A row at a time and one that may have been taken then stay two.
+    """
+    again = np.zeros(times.size, dtype=bool)
+    _, group, sizes = np.unique(times, return_inverse=True, return_counts=True)
+    places: dict[object, int] = {}
+    for k in np.flatnonzero(sizes[group] > 1).tolist():
+        at = places.setdefault((times[k], censored[k][0].span if censored[k] else None), k)
+        if at == k:
+            continue
+        again[k] = True
+        read = {each.output: each for each in censored[at]}
+        new = [each for each in censored[k] if read.get(each.output) != each]
+        torn = any(each.output in read or np.isfinite(y[at, each.output]) for each in new)
+        if torn or np.isfinite(y[k, list(read)]).any():
+            return again, (at, k)
+        for table in (y, u):
+            if np.any(table[at] != table[k], where=np.isfinite(table[at]) & np.isfinite(table[k])):
+                return again, (at, k)
+            table[at] = np.where(np.isnan(table[at]), table[k], table[at])
+        censored[at] = (*censored[at], *new)
+    return again, None
 
 
 def _beside(columns: list[Array | None], rows: int) -> Array | None:

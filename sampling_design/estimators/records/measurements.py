@@ -283,29 +283,16 @@ class Measurements(ListRecord[MeasuredRow]):
             raise ArgumentError("`other` must have dates where these measurements do, and none where they have none.")
         if self.origin and other.origin != self.origin:
             other = other.rebased(self.origin)
-        both = replace(
-            self,
-            times=np.concatenate([self.times, other.times]),
-            y=np.concatenate([self.y, other.y]),
-            u=np.concatenate([self.u, other.u]),
-            censored=(*self.censored, *other.censored),
-        ).in_order()
-        begins = np.concatenate([[True], np.diff(both.times) > 0])[: len(both)]
-        rows, place = np.flatnonzero(begins), np.cumsum(begins) - 1
-        (y, torn), (u, torn_inputs) = (_agreed(table, rows) for table in (both.y, both.u))
-        torn |= torn_inputs
-        censored: list[tuple[CensoredReading, ...]] = [()] * rows.size
-        for at, row in zip(place.tolist(), both.censored, strict=True):
-            if row:
-                censored[at] = tuple(dict.fromkeys((*censored[at], *row)))
-        for at in np.flatnonzero(np.bincount(place) > 1).tolist():
-            if censored[at]:
-                outputs = [each.output for each in censored[at]]
-                torn[at] |= len(set(outputs)) < len(outputs) or np.isfinite(y[at, outputs]).any()
-        if torn.any():
-            at = float(both.times[rows[np.argmax(torn)]])
-            raise ArgumentError(f"`other` contradicts these measurements at {at!r}.")
-        return replace(both, times=both.times[rows], y=y, u=u, censored=tuple(censored))
+        times, y, u = (
+            np.concatenate([mine, more])
+            for mine, more in ((self.times, other.times), (self.y, other.y), (self.u, other.u))
+        )
+        censored = [*self.censored, *other.censored]
+        again, clash = measurement_table.join_rows(times, y, u, censored)
+        if clash is not None:
+            raise ArgumentError(f"`other` contradicts these measurements at {float(times[clash[0]])!r}.")
+        both = replace(self, times=times, y=y, u=u, censored=tuple(censored))
+        return both._of_rows(np.flatnonzero(~again)).in_order()
 
     def _entries(self) -> list[MeasuredRow]:
         return list(self)
@@ -366,7 +353,8 @@ def read_measurements(
     path : path, DataFrame (lazy, too), Series or Dataset
         Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that day),
         then the plant's output names, then its input names, in any order. An empty output cell is "not measured" (a row
-        that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and
+        that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; rows of one
+        time say together what one row would; "<0.5" and
         ">8" are limits of detection, "<=0.5" says the same. A column `time_until` or `date_until` says until when a row
         may have been measured, where its time is not known; empty where it is. A column NAME_since beside an output
         NAME holds where a composite sample began, in the unit of the first column: the output is the mean from then on.
@@ -389,7 +377,7 @@ def read_measurements(
     ------
     FileFormatError
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
-        an input has no value in the first row, a time comes twice with different values, a date without a zone is
+        an input has no value in the first row, rows of one time contradict each other, a date without a zone is
         skipped or repeated by its clocks or stands beside one that has a zone while nothing says its own, numbers have
         decimal commas and decimal points, or a frame's index counts its rows and nothing else says their times.
     ArgumentError
@@ -460,14 +448,6 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
                 begun[each.output] = cell_of(each.since)
         body.append([*when[: len(stamps)], *cells, *begun.values(), *(cell_of(v) for v in u)])
     return write_csv(path, header, body)
-
-
-def _agreed(table: Array, rows: Index) -> tuple[Array, Mask]:
-    """What rows of one time, the first of each in `rows`, say together, and where they contradict each other."""
-    if not rows.size:
-        return table, np.zeros(0, dtype=bool)
-    least, largest = (end.reduceat(table, rows) for end in (np.fmin, np.fmax))
-    return largest, np.asarray((least < largest).any(axis=1))
 
 
 def _terms(plant: MeasuredPlant) -> str:

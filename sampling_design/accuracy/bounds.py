@@ -22,6 +22,7 @@ from sampling_design.records.vector_bounds import (
     VectorBound,
     half_and_centre,
     named_bounds,
+    refuse_apart,
     squarable,
     vector_bound,
 )
@@ -110,6 +111,7 @@ class SignalBounds:
                     "Give it a number, 0 for an exact sensor, infinity for one that says nothing."
                 )
         v[~measured] = np.inf
+        refuse_apart(plant.C, plant.G, w_bound=w, v_bound=v)
         if times is None and (w_centre.any() or v_centre.any()):
             raise ArgumentError(
                 f"`{'w_bound' if w_centre.any() else 'v_bound'}` must be centred at 0 here, got an interval that is "

@@ -100,5 +100,29 @@ def squarable(argument: str, sizes: npt.ArrayLike) -> Array:
     return entries
 
 
+def refuse_apart(C: Array, G: Array, **bounds: Array | None) -> None:
+    """Raise ArgumentError where two bounds of a plant are so far apart that the square of their ratio is no double.
+
+    A disturbance moves states by G w and they outputs by C x: over the other bound that is the same in any units.
+    """
+    with np.errstate(divide="ignore"):
+        c, g = np.log10(np.abs(C)), np.log10(np.abs(G))
+        sizes = {name: np.log10(size) for name, size in bounds.items() if size is not None}
+    through = np.max(c[:, :, None] + g, axis=1, initial=-np.inf)
+    pairs = (("w_bound", "v_bound", through), ("initial_error", "v_bound", c), ("w_bound", "initial_error", g))
+    for one, other, effect in pairs:
+        if one in sizes and other in sizes:
+            over = np.broadcast_to(sizes[other], (*sizes[other].shape[:-1], len(effect)))[..., None]
+            with np.errstate(invalid="ignore"):
+                powers = effect + np.broadcast_to(sizes[one], effect.shape[1:]) - over
+            powers = np.append(powers[np.isfinite(powers)], 0.0)
+            worst = float(powers[np.argmax(np.abs(powers))])
+            if abs(worst) > np.log10(MOST_POWER):
+                raise ArgumentError(
+                    f"`{one}` and `{other}` must be nearer to each other: what the one moves is 1e{worst:+.0f} times "
+                    "the other, whose square is no number in double precision."
+                )
+
+
 def _is_infinite(value: object) -> TypeGuard[float]:
     return is_number(value) and bool(np.isinf(value))

@@ -5,7 +5,8 @@ a Euclidean norm over several units (a bound given as one number, the Euclidean 
 """
 
 import warnings
-from itertools import product
+from functools import partial
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -20,8 +21,10 @@ from sampling_design import (
     certify,
     compare_schedule,
     simulate_record,
+    state_interval,
     validate,
 )
+from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction, build_weights
 from sampling_design.estimators.online.estimator import GuaranteeWarning
@@ -290,3 +293,27 @@ def test_integrators_of_any_size_have_weights(order, coupling, size):
     bounds = {"w_bound": [size], "v_bound": [1 / size], "initial_error": np.ones(order)}
     weights = build_weights(plant, None, CostFunction(), bounds)
     assert 0 < float(weights.w[0, 0]) < np.inf
+
+
+def refusal(ask):
+    """What an ArgumentError says; "" where there is an answer."""
+    try:
+        ask()
+    except ArgumentError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(("one", "other"), few(product((0, 60, 140), (-140, -60, 0, 60)), 1, 8))
+def test_sizes_far_apart_are_computed_with_or_refused_in_a_sentence(one, other):
+    """Two sizes that each have a square may have none together, in whatever matrix or bound they stand."""
+    for pair in combinations(("C", "G", "w_bound", "v_bound", "initial_error"), 2):
+        size = dict.fromkeys(("C", "G", "w_bound", "v_bound", "initial_error"), 1.0)
+        size |= {pair[0]: 10.0**one, pair[1]: 10.0**other}
+        plant = Plant([[0.1, 1.0], [-1.0, -0.2]], size.pop("C") * np.array([[1.0, 0.3]]), G=size.pop("G") * np.eye(2))
+        rows = [(t, [size["v_bound"]], None) for t in (0.0, 1.0, 1.5)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            said = refusal(partial(state_interval, plant, rows, **size))
+            said += refusal(partial(lambda plant, size, rows: KalmanFilter(plant, **size).run(rows), plant, size, rows))
+        assert not said or ("must be nearer to each other" in said and max(abs(one + other), abs(one - other)) > 150)

@@ -28,7 +28,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Record, short
-from sampling_design.records.vector_bounds import VectorBound, vector_bound
+from sampling_design.records.vector_bounds import VectorBound, refuse_apart, vector_bound
 
 Form = Literal["certificate", "paper"]
 ArrivalKind = Literal["fixed", "filtered"]
@@ -359,6 +359,7 @@ def _weighed(plant: Plant, bounds: ErrorBoundArguments, rate: float) -> dict[str
     signals = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
     given: dict[str, VectorBound] = dict(bounds)  # type: ignore[arg-type]
     read = {name: vector_bound(name, bound, signals[name].names) for name, bound in given.items() if bound is not None}
+    refuse_apart(plant.C, plant.G, w_bound=read.get("w_bound"), initial_error=read.get("initial_error"))
     usable = {name for name, bound in read.items() if np.all((bound >= 1 / LARGEST) & (bound <= LARGEST))}
     wanted = [read[name] if name in usable else 1.0 for name in signals]
     if not rate:  # integrators alone

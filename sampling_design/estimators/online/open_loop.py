@@ -17,7 +17,7 @@ from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
-from sampling_design.records.vector_bounds import VectorBound, vector_bound
+from sampling_design.records.vector_bounds import VectorBound, refuse_apart, vector_bound
 
 
 class ErrorBounds:
@@ -70,6 +70,7 @@ class ErrorBounds:
         if self.w is None or self.v is None:
             return None
         plant = self.plant
+        refuse_apart(plant.C, plant.G, w_bound=self.w, v_bound=self.v)
         disturbance = BoundedSet.of("w_bound", self.w, plant.disturbances.names)
         noise = BoundedSet.of("v_bound", self.v, plant.outputs.names)
         return EstimateAssumptions(plant, disturbance, noise, self.start_error)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
-import json
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ from sampling_design.design.problem.requirement_file import TIMING
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant
-from sampling_design.records import checks
+from sampling_design.records import checks, sweeps
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
@@ -200,7 +198,7 @@ def pareto_front(
     ArgumentError
         If there is no count, or `workers` is none of the above.
     FileFormatError
-        If `resume` belongs to another plant, requirement or option, or was changed.
+        If `resume` belongs to another plant, requirement, option or version, or was changed.
 
     Notes
     -----
@@ -276,9 +274,7 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
     """Digest of everything that a point depends on but its count."""
     required = requirement.replace(samples=None, target_sigma=None).to_dict()
-    given = {k: v.bit_generator.state if isinstance(v, np.random.Generator) else v for k, v in sorted(options.items())}
-    text = json.dumps([plant.to_dict(), required, {k: repr(v) for k, v in given.items()}], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return sweeps.digest(plant, required, options)
 
 
 def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
@@ -290,7 +286,8 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
         raise FileFormatError(f"{where}: `format` must be {FORMAT!r}, got {data.get('format')!r}.", where)
     if data.get("key") != key:
         raise FileFormatError(
-            f"{where}: belongs to another plant, requirement or option. Name another file to resume from.", where
+            f"{where}: belongs to another plant, requirement, option or version. Name another file to resume from.",
+            where,
         )
     with usable(where):
         points = [_read(entry) for entry in _POINTS(data.get("points"), "points")]

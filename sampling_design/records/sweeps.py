@@ -6,11 +6,14 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from pathlib import Path
 from typing import Generic, TypeAlias, TypeVar
 
+import numpy as np
+
+from sampling_design import __version__
 from sampling_design.checkers.strict import a_table, is_text, or_nothing, refuse, table, text
 from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
 from sampling_design.records import checks, file_io
@@ -20,32 +23,46 @@ from sampling_design.records.record import Plain, PlainRecord
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered
 
-FORMAT = "sampling-design/journal/1"
+FORMAT = "sampling-design/journal/2"
 Kept = TypeVar("Kept")
 
 
 def digest(*parts: object) -> str:
-    """Digest of what results depend on: plain data, arrays, records, and functions by their names."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_digestible).encode()).hexdigest()
+    """Digest of what results depend on: plain data, arrays, records, functions by their names, and who computes them.
+
+    Raises ArgumentError of a function that no module holds: another one may have its name.
+    """
+    whole = [*parts, __version__, np.__version__]
+    return hashlib.sha256(json.dumps(whole, sort_keys=True, default=_digestible).encode()).hexdigest()
 
 
 def _digestible(value: object) -> object:
     """What a digest takes for a thing that is no plain data."""
     if isinstance(value, partial):
         return [_digestible(value.func), list(value.args), value.keywords]
+    if isinstance(value, np.random.Generator):
+        return value.bit_generator.state
     for way in ("to_dict", "tolist"):
         if hasattr(value, way) and not isinstance(value, type):
             return getattr(value, way)()
     if hasattr(value, "__qualname__"):
-        return f"{getattr(value, '__module__', '')}.{value.__qualname__}"
-    return repr(value)
+        if "<" in value.__qualname__:
+            raise ArgumentError(
+                f"`resume` needs a function of a module, or functools.partial of one, got {value.__qualname__}: its "
+                "name does not say what it does."
+            )
+        own = getattr(value, "__self__", None)
+        return [f"{getattr(value, '__module__', '')}.{value.__qualname__}", own]
+    if is_dataclass(value):  # what it prints is rounded, and cut off
+        return [type(value).__qualname__, {each.name: getattr(value, each.name) for each in fields(value)}]
+    return dict(value.items()) if hasattr(value, "items") else repr(value)
 
 
 class Journal(Generic[Kept]):
     """Plain results by name; a line that was cut off by a kill is written again.
 
-    Raises FileFormatError if the file is no journal, belongs to other data, holds a line that is no result, or cannot
-    be written.
+    Raises FileFormatError if the file is no journal, belongs to other data, holds a line that is no result or was
+    changed, or cannot be written.
 
     Parameters
     ----------
@@ -60,16 +77,20 @@ class Journal(Generic[Kept]):
     def __init__(self, path: str | os.PathLike[str], key: str, read: Callable[[object, str], Kept]):
         self.path = Path(path)
         self.known: dict[str, Kept] = {}
+        self._key = key
         head = {"format": FORMAT, "key": key}
         where = os.fspath(path)
         lines = file_io.read_text(path).split("\n") if self.path.exists() else []
         whole, cut = lines[:-1], lines[-1] if lines else ""
         if whole:
             self._check(file_io.from_json(whole[0], where), head, where)
-            entry = table({"name": text, "result": read})
+            entry = table({"name": text, "result": read, "digest": text})
             with file_io.usable(where):
                 for k, line in enumerate(whole[1:], 2):
-                    answered = entry(file_io.from_json(line, where), f"line {k}")
+                    data = file_io.from_json(line, where)
+                    answered = entry(data, f"line {k}")
+                    if answered["digest"] != digest(key, answered["name"], data["result"]):
+                        raise refuse(f"line {k}", "was changed since it was written")
                     self.known[answered["name"]] = answered["result"]
         if cut or not whole:
             kept = whole or [json.dumps(head)]
@@ -81,12 +102,13 @@ class Journal(Generic[Kept]):
             raise FileFormatError(f"{where}: `format` must be {FORMAT!r}, got {found.get('format')!r}.", where)
         if found != head:
             raise FileFormatError(
-                f"{where}: belongs to other data or options. Name another file to resume from.", where
+                f"{where}: belongs to other data, options or versions. Name another file to resume from.", where
             )
 
     def add(self, name: str, result: Mapping[str, object]) -> None:
         """Write down a result; it is on disk when this returns."""
-        line = json.dumps({"name": name, "result": result}, allow_nan=False) + "\n"
+        entry = {"name": name, "result": result, "digest": digest(self._key, name, result)}
+        line = json.dumps(entry, allow_nan=False) + "\n"
         try:
             with self.path.open("a", encoding="utf-8") as stream:
                 stream.write(line)

@@ -170,7 +170,7 @@ def validate(
         settled = (plant, schedule, certificate, bounds, options, duration, count, _seed_of(root))
         study = ValidationStudy(plant, schedule, certificate, bounds, options, duration)
         if resume is not None:
-            study.journal = Journal(resume, digest(*settled, __version__, np.__version__), read_trials)
+            study.journal = Journal(resume, digest(*settled), read_trials)
         study.run(chosen, root.spawn(count), workers, progress)
         return study.report({**_settings(study.line, count, chosen, bounds, root), "horizon": study.horizon})
 

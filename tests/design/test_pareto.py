@@ -74,7 +74,7 @@ def test_what_needs_no_samples_and_what_was_not_designed_have_no_finite_bound(tm
 def test_a_file_of_another_requirement_is_refused(tmp_path):
     path = tmp_path / "front.json"
     pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
-    with pytest.raises(FileFormatError, match="belongs to another plant, requirement or option"):
+    with pytest.raises(FileFormatError, match="belongs to another plant, requirement, option or version"):
         pareto_front(PLANT, REQUIREMENT.replace(spacing=0.6), [3], resume=path, **OPTIONS)
     path.write_text('{"format": "other"}')
     with pytest.raises(FileFormatError, match="`format` must be 'sampling-design/pareto/1'"):

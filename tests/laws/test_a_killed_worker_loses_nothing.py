@@ -10,6 +10,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from importlib import import_module
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import sampling_design as sd
 from sampling_design.checkers.strict import a_table
 from sampling_design.cli.options import workforce
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
+from sampling_design.records import sweeps
 from sampling_design.records import workers as workforces
 from sampling_design.records.sweeps import Journal, digest, sweep
 from sampling_design.validation import monte_carlo
@@ -214,10 +216,37 @@ def test_a_sweep_goes_on_where_it_was_killed(tmp_path):
     assert again.to_dict() == alone.to_dict()
     with ThreadPoolExecutor(3) as pool:
         assert sweep(QUESTION, SCHEDULES, workers=pool).to_dict() == alone.to_dict()
-    with pytest.raises(FileFormatError, match="belongs to other data or options"):
+    with pytest.raises(FileFormatError, match="belongs to other data, options or versions"):
         sweep(partial(sd.window_sigma, PLANT, window=4.0), SCHEDULES, resume=path)
     path.write_text('{"format": "x"}\n')
-    with pytest.raises(FileFormatError, match="`format` must be 'sampling-design/journal/1', got 'x'"):
+    with pytest.raises(FileFormatError, match="`format` must be 'sampling-design/journal/2', got 'x'"):
+        sweep(QUESTION, SCHEDULES, resume=path)
+
+
+def test_a_journal_is_of_what_it_was_written_for(tmp_path, monkeypatch):
+    """What prints alike may differ, and a line that was edited is nobody's answer."""
+    heavy = [np.eye(4) + np.diag([0.0, 0.0, 0.0, change]) for change in (0.0, 1e-9, 1.0)]
+    boxes = [sd.Constraints(x=(np.zeros(12), np.linspace(1.0, last, 12))) for last in (2.0, 3.0)]
+    seeds = [np.random.default_rng(k) for k in (1, 1, 2)]
+    told = [digest(each) for each in (*[sd.CostFunction(P2=P2) for P2 in heavy], *boxes, *seeds)]
+    assert [told.count(each) for each in told] == [1, 1, 1, 1, 1, 2, 2, 1]
+    assert digest(SCHEDULES["0.5"].between) != digest(SCHEDULES["0.9"].between)
+    assert digest({"x": MappingProxyType({"a": 1.0})}) != digest({"x": MappingProxyType({"a": 2.0})})
+    path = tmp_path / "sweep.journal"
+    with pytest.raises(ArgumentError, match="`resume` needs a function of a module"):
+        sweep(lambda schedule: QUESTION(schedule), SCHEDULES, resume=path)
+    sweep(QUESTION, SCHEDULES, resume=path)
+    whole = path.read_text()
+    for k, (was, then) in enumerate(((": true", ": false"), ('"s"', '"h"')), 1):
+        lines = whole.splitlines(keepends=True)
+        lines[k] = lines[k].replace(was, then, 1)
+        assert "".join(lines) != whole
+        path.write_text("".join(lines))
+        with pytest.raises(FileFormatError, match=f"line {k + 1}` was changed since it was written"):
+            sweep(QUESTION, SCHEDULES, resume=path)
+    path.write_text(whole)
+    monkeypatch.setattr(sweeps, "__version__", "0")
+    with pytest.raises(FileFormatError, match="belongs to other data, options or versions"):
         sweep(QUESTION, SCHEDULES, resume=path)
 
 
@@ -253,6 +282,15 @@ def test_what_is_no_sweep_is_refused(tmp_path):
         gone.add("a", {})
 
 
+def sealed(line, path):
+    """A line of a journal with the digest that it would have, had it been written like that."""
+    entry = json.loads(line)
+    if not isinstance(entry, dict):
+        return line
+    key = json.loads(path.read_text().splitlines()[0])["key"]
+    return json.dumps(entry | {"digest": digest(key, entry["name"], entry.get("result"))})
+
+
 @pytest.mark.parametrize(
     ("line", "said"),
     [
@@ -271,7 +309,7 @@ def test_what_is_no_sweep_is_refused(tmp_path):
 def test_a_line_that_is_no_result_is_refused(line, said, tmp_path):
     path = tmp_path / "j"
     Journal(path, digest(QUESTION, SCHEDULES), a_table)
-    path.write_text(path.read_text() + line + "\n")
+    path.write_text(path.read_text() + sealed(line, path) + "\n")
     with pytest.raises(FileFormatError, match=said):
         sweep(QUESTION, SCHEDULES, resume=path)
 
@@ -315,11 +353,11 @@ def test_a_validation_goes_on_where_it_was_killed(tmp_path, monkeypatch):
     ):
         entry = json.loads(lines[1])
         change(entry["result"])
-        path.write_text(lines[0] + "\n" + json.dumps(entry, default=bytes.decode) + "\n")
+        path.write_text(lines[0] + "\n" + sealed(json.dumps(entry, default=bytes.decode), path) + "\n")
         with pytest.raises(FileFormatError, match=said):
             report(resume=path)
     asked["runs"] = 13
-    with pytest.raises(FileFormatError, match="belongs to other data or options"):
+    with pytest.raises(FileFormatError, match="belongs to other data, options or versions"):
         report(resume=path)
 
 

@@ -56,12 +56,8 @@ def _opened(program: RecordProgram, times: Array, x: Array) -> StateTube:
     what w adds grows by no more than it does until the later one; all of that is added.
     """
     plant, n, N = program.readings.plant, program.readings.plant.n_states, len(times)
-    ends = np.empty((2, N, n))
-    added = np.empty((N, n))
-    for i, row in enumerate(np.eye(n)):
-        added[:, i] = [program.after(float(t), row) for t in times]
-        for side, sign in enumerate((1.0, -1.0)):
-            ends[side, :, i] = sign * _ends(program, times, sign * row)
+    upper, added = _ends(program, times, np.vstack([np.eye(n), -np.eye(n)]))
+    ends, added = np.stack([upper[:, :n], -upper[:, n:]]), added[:, :n]
     if np.any(ends[0] < ends[1]) or (program.seems_infeasible and program.contradicted):
         nothing = np.full((N, n), np.nan)
         return StateTube(times, nothing, nothing)
@@ -83,14 +79,17 @@ def _opened(program: RecordProgram, times: Array, x: Array) -> StateTube:
     return StateTube(times, lower - wide, upper + wide)
 
 
-def _ends(program: RecordProgram, times: Array, row: Array) -> Array:
-    """Upper ends of a row at the times."""
+def _ends(program: RecordProgram, times: Array, rows: Array) -> tuple[Array, Array]:
+    """Upper ends (N, r) of rows at the times, and what w adds after the first; times one by one: each makes a flow."""
     knots = np.unique(np.linspace(0, len(times) - 1, min(KNOTS, len(times))).astype(int))
-    solved = {int(k): program.end(float(times[k]), row).gains for k in knots}
-    found = np.empty(len(times))
-    for k, t in enumerate(times):
+    solved = {k: [program.end(float(times[k]), row) for row in rows] for k in knots.tolist()}
+    gains = {k: np.array([end.gains for end in ends]) for k, ends in solved.items()}
+    found, added = np.empty((2, len(times), len(rows)))
+    for k, t in enumerate(times.tolist()):
         after, before = int(knots[knots >= k].min()), int(knots[knots <= k].max())
         share = 0.0 if after == before else (t - times[before]) / (times[after] - times[before])
-        gains = (1 - share) * solved[before] + share * solved[after]
-        found[k] = program.upper(float(t), row, gains).value
-    return found
+        mixed = (1 - share) * gains[before] + share * gains[after]
+        for i, row in enumerate(rows):
+            found[k, i] = (solved[k][i] if k in solved else program.upper(t, row, mixed[i])).value
+            added[k, i] = program.after(t, row)
+    return found, added

@@ -246,9 +246,7 @@ def test_exact_sensors_say_that_the_program_is_degenerate():
     assert sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1).notice == ""
 
 
-@pytest.mark.parametrize(
-    ("unit", "kind"), few(product([1.0, 1e-9, 1e9], ["endless", "finite", "together", "late"]), 5, 6)
-)
+@pytest.mark.parametrize(("unit", "kind"), few(product([1.0, 1e-9, 1e9], ["endless", "finite", "together", "late"]), 5))
 def test_less_noise_is_never_worse_down_to_none(kind, unit):
     """A sensor's rows in units of noise that is nearly none have parted states by more than doubles hold."""
     plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]] if kind != "together" else [[1.0, 0.0], [0.9, 0.1]])

@@ -95,7 +95,7 @@ DECAYING = np.array([[0.3, 1.0, 0.0], [0.0, 0.45, 0.0], [0.0, 0.0, -0.6]])
         (GROWING, np.eye(2), [[0.0], [1.0]], [True, False], True),
         pytest.param(GROWING, np.eye(2), [[0.0], [1.0]], [True, False], False, marks=pytest.mark.long),
         (GROWING, np.eye(2), [[1.0], [1.0]], [False, False], True),
-        (TURNING, [[1.0, 0.0], [0.0, 0.0]], [[0.0], [0.0]], [True, True], False),
+        pytest.param(TURNING, [[1.0, 0.0], [0.0, 0.0]], [[0.0], [0.0]], [True, True], False, marks=pytest.mark.long),
         (DECAYING, [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [[1.0], [0.0], [0.0]], [False, False, True], True),
     ],
     ids=["beside noise", "beside noise, finite", "of noise", "turning, finite", "decaying"],
@@ -300,7 +300,7 @@ def from_nothing(A, C, W, v, times, end):
     return [x if x < 1e20 else np.inf for x in found]
 
 
-@pytest.mark.parametrize("growth", few([5.0, 8.0, 11.0, 14.0, 17.0, 20.0, 25.0, 28.0], 3, 5))
+@pytest.mark.parametrize("growth", few([5.0, 8.0, 11.0, 14.0, 17.0, 20.0, 25.0, 28.0], 5))
 def test_no_plant_that_grows_loses_more_digits_than_its_growth_takes(growth):
     """Covariances of the noise over a gap lost a thousandth of what samples leave at e^15, and all of it at e^18."""
     rng = np.random.default_rng(int(growth))
@@ -479,7 +479,7 @@ def of_integers(rng, n, steps):
     return T, back
 
 
-@pytest.mark.parametrize("name", few(UNREACHED, 0, 1, 2))
+@pytest.mark.parametrize("name", few(UNREACHED, 0, 2))
 def test_of_what_no_noise_reaches_only_what_grows_keeps_a_deviation(name):
     """In any states of condition up to 1e6 and any units; what is known in the end is 0."""
     A, G, C, kept = (np.array(each) for each in UNREACHED[name])

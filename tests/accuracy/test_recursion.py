@@ -6,6 +6,7 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
+from tests.cases import few
 
 PLANT = sd.Plant([[0.3, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], D=[[0.5]], states=["position", "velocity"])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9])
@@ -26,7 +27,7 @@ def flown(plant, x, u, w, h, steps=8):
     return x
 
 
-@pytest.mark.parametrize("start", [[0.6, 0.2], 0.5])
+@pytest.mark.parametrize("start", few([[0.6, 0.2], 0.5], 1))
 def test_the_truth_is_within_the_radii_from_the_first_sample_on(found, start):
     rng = np.random.default_rng(7)
     ratios = []

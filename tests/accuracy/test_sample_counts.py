@@ -33,7 +33,7 @@ def without(plant, row, w, norm):
     return np.trapezoid(norm((np.array(rows) @ plant.G) * w), s)
 
 
-@pytest.mark.parametrize("seconds", few([1.0, 1e9, 1e-9], 0, 2))
+@pytest.mark.parametrize("seconds", few([1.0, 1e9, 1e-9], 2))
 def test_without_samples_errors_are_what_disturbances_leave(seconds):
     """Bounds on each entry, and on the norm; in any unit of time."""
     plant = sd.Plant(PLANT.A / seconds, PLANT.C, G=np.diag([1.0, 1e6]) / seconds)

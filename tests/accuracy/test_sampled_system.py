@@ -14,6 +14,7 @@ from sampling_design.accuracy import sampled_system as chains
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.linalg import expm_batch
+from tests.cases import few
 
 PLANTS = {
     "oscillator": ([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]),
@@ -149,7 +150,7 @@ def test_integrals_of_columns_are_the_same_however_many_are_made_at_once(ball, m
     np.testing.assert_allclose(gap.integral(g, ball), whole, rtol=1e-12)
 
 
-@pytest.mark.parametrize("ball", [False, True])
+@pytest.mark.parametrize("ball", few([False, True], 1))
 def test_gaps_of_a_record_are_integrated_as_closely_as_others_with_a_tenth_of_their_memory(ball):
     """All panels of each gap at once took gigabytes of five thousand rows of eight states."""
     rng, n, gaps = np.random.default_rng(0), 8, 64

@@ -402,7 +402,7 @@ def test_noise_that_stands_for_times_is_proven_again_where_filters_remember_long
     assert found.verify()
 
 
-@pytest.mark.parametrize("endless", [True, False])
+@pytest.mark.parametrize("endless", few([True, False], 1))
 def test_what_a_spent_budget_leaves_proven_of_late_samples_verifies(endless):
     """The directions by which noise was found to be enough are in the proof, though rows had little time left."""
     plant = Plant([[0.2, 1.0, 0.0], [-1.0, 0.1, 0.0], [0.0, 0.3, -0.4]], [[1.0, 0.5, 0.0], [0.2, 0.0, 1.0]])

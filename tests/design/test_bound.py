@@ -468,7 +468,7 @@ def test_relaxations_of_many_states_are_those_of_a_general_solver(monkeypatch, g
     assert values[0] <= values[1] * (1 + 1e-5)
 
 
-@pytest.mark.parametrize("side", ["late", "early"])
+@pytest.mark.parametrize("side", few(["late", "early"], 1))
 def test_zones_of_many_states_are_bounded_as_by_a_general_solver(monkeypatch, side):
     """The first sample's zone is a time, so that no weights lie inside all limits."""
     case = problem(samples=4)

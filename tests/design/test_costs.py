@@ -159,7 +159,11 @@ def test_the_best_choice_is_the_best_by_enumeration():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"cost_limit": 3.0}, "`cost_limit` 3 is less than 4 of the cheapest measurements cost"),
+        pytest.param(
+            {"cost_limit": 3.0},
+            "`cost_limit` 3 is less than 4 of the cheapest measurements cost",
+            marks=pytest.mark.long,
+        ),
         (
             {
                 "cost_limit": 5.0,

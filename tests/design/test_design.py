@@ -111,7 +111,6 @@ def test_a_target_out_of_reach_names_what_was_found():
             {"samples": 9, "target_sigma": 7.0},
         ],
         0,
-        3,
     ),
 )
 def test_the_nearest_target_is_reached_by_the_whole_design(change):

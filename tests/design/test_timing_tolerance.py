@@ -114,7 +114,7 @@ def crossed(seed):
     return sd.Plant(A / unit, C * size, outputs=names), asked, late, delays, (unit, size), rng
 
 
-@pytest.mark.parametrize("seed", few(range(12), 0, 7))
+@pytest.mark.parametrize("seed", few(range(12), 0))
 def test_no_real_times_break_a_design_and_no_schedule_beats_its_bound_whatever_else_is_asked(seed):
     plant, asked, late, delays, (unit, size), rng = crossed(seed)
     design = sd.design_schedule(plant, asked, starts=1, branches=2)

@@ -12,6 +12,7 @@ from sampling_design.planning.evidence import resimulated
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import coarser, lifted_trajectories
 from sampling_design.planning.search import PlanSearch
+from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False, "from_start": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
@@ -65,7 +66,7 @@ def test_a_search_that_finds_nothing_by_itself_ends_with_what_the_coarser_grid_h
 
 
 @pytest.mark.usefixtures("looked_at")
-@pytest.mark.parametrize(("more", "cut"), [(1.0, False), (0.0, True)])
+@pytest.mark.parametrize(("more", "cut"), few([(1.0, False), (0.0, True)], 0))
 def test_what_a_coarser_grid_proves_is_not_proven_again(more, cut, monkeypatch):
     """Its times are the same times: so a proof that was cut there is no worse here."""
     asked, prove = [], proven_choice.proven_of

@@ -301,7 +301,7 @@ def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
     assert not sd.state_interval(swing, [(t[0] + 0.25, y) for t, y in rows], 6.0, **given).holds(truth(6.0))
 
 
-@pytest.mark.parametrize(("side", "jump"), few(product(["right", "left"], [1.0, 1.5, 1.8, 2.0]), 0, 1, 7))
+@pytest.mark.parametrize(("side", "jump"), few(product(["right", "left"], [1.0, 1.5, 1.8, 2.0]), 1))
 def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_sides(side, jump):
     """y = x + u, read at any time from 1 to 2, both included, where u jumps: there u is that of the stated side."""
     plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[1.0]])
@@ -325,7 +325,7 @@ def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_side
 
 
 @pytest.mark.parametrize(
-    ("x", "y"), [([1e6, 1e-12], [1e-12, 1e6]), ([1e-12, 1e12], [1.0, 1e12]), ([1.0, 1e12], [1e12, 1.0])]
+    ("x", "y"), few([([1e6, 1e-12], [1e-12, 1e6]), ([1e-12, 1e12], [1.0, 1e12]), ([1.0, 1e12], [1e12, 1.0])], 1)
 )
 def test_what_times_tell_of_an_unknown_start_is_the_same_in_any_units(x, y):
     """A growing swing, both states read in turn at times known to 0.1: states and outputs in units of their own."""

@@ -63,7 +63,7 @@ SEEN_LATE = {
     [
         ("scalar", 2.0, [1.0, 1.0], 2.0),
         ("scalar", 5.0, [0.3] * 8, 2.4),
-        ("defective", 2.0, [0.5, 1.0, 0.7], 2.2),
+        pytest.param("defective", 2.0, [0.5, 1.0, 0.7], 2.2, marks=pytest.mark.long),
         *(
             pytest.param(kind, growth, gaps, sum(gaps), marks=pytest.mark.long)
             for kind in SEEN_LATE

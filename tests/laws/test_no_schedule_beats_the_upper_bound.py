@@ -164,7 +164,7 @@ def test_a_wide_gap_is_cut_on_as_long_as_that_helps(monkeypatch, falls, cuts):
 FAR_APART = ([[3.0, 1.0], [0.0, 0.02]], [[0.05, 1.0]])  # e^12 and e^.08 over a window of four
 
 
-@pytest.mark.parametrize("rules", few([{}, {"forbidden": [[0.5, 1.5]]}, {"fixed": [0.0, 1.75]}], 0, 2))
+@pytest.mark.parametrize("rules", few([{}, {"forbidden": [[0.5, 1.5]]}, {"fixed": [0.0, 1.75]}], 2))
 def test_states_that_grow_slowly_alone_bound_every_schedule(rules):
     requirement = Requirement(window=4.0, period=4.0, spacing=0.4, samples=3, **rules)
     problem = pose(Plant(*FAR_APART), requirement, 3)

@@ -155,7 +155,7 @@ def shares(seeds, name):
     return len(ratios), int(broken.sum()), int(near.sum()), float(np.median(ratios))
 
 
-@pytest.mark.parametrize("seed", few(range(200), 27, 69))
+@pytest.mark.parametrize("seed", few(range(200), 27))
 def test_no_truth_breaks_a_claim_and_what_is_attained_is_flown(seed):
     for name, said, found in judged(seed):
         assert found >= 0.95 * said if is_attained(name) else found <= said * (1 + ROUNDED), name

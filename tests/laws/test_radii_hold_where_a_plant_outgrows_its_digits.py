@@ -111,7 +111,7 @@ def worst_share(seed):
         return worst
 
 
-@pytest.mark.parametrize("seed", few(SEEDS, 0, 1, 2, 3))
+@pytest.mark.parametrize("seed", few(SEEDS, 0, 3))
 def test_truths_are_in_certified_ellipsoids(seed):
     assert worst_share(seed) <= 1
 

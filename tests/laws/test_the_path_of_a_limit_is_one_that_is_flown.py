@@ -57,7 +57,7 @@ def exceeded(found, k):
     return np.max(np.abs(seen[allowed]) / found.bounds.v), np.max(np.abs(w) / found.bounds.w)
 
 
-@pytest.mark.parametrize("seed", few(range(8), 1, 3, 4))
+@pytest.mark.parametrize("seed", few(range(8), 1))
 def test_a_limit_is_attained_by_what_nobody_sees(seed):
     found = drawn(seed)
     assert found.verify()

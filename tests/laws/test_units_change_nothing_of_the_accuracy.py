@@ -146,7 +146,7 @@ def test_other_states_attain_as_much(name, seed):
     assert there.verify()
 
 
-@pytest.mark.parametrize(("time", "order"), few([(1e-7, 3), (1e4, 3), (3e7, 1), (1e-6, 2)], 0, 2, 3))
+@pytest.mark.parametrize(("time", "order"), few([(1e-7, 3), (1e4, 3), (3e7, 1), (1e-6, 2)], 2, 3))
 def test_the_unit_of_time_changes_no_limit_of_integrators(time, order):
     """They have no rate of their own: how soon w moves an output by its noise says how fast they are."""
 

@@ -48,7 +48,7 @@ def proven(problem, chosen):
     return float(found.upper[0]) / problem.goals[0].tolerance
 
 
-@pytest.mark.parametrize("seed", few([3, 4, 5, 6, 10, 13, 15, 17, 18, 21], 2, 5))
+@pytest.mark.parametrize("seed", few([3, 4, 5, 6, 10, 13, 15, 17, 18, 21], 2))
 def test_it_is_found_and_says_the_same_of_every_choice(seed):
     problem, oracle, chosen, rng = kept_on_the_grid(seed)
     assert oracle.judge(chosen)[0] <= 1

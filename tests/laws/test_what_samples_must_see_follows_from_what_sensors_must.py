@@ -90,7 +90,7 @@ def test_the_least_cost_of_all_choices_is_what_is_proven(seed):
     assert proven_cost(covering, pool, proof) >= proof.value * (1 - 1e-9)
 
 
-@pytest.mark.parametrize("seed", few([8, 42, 17, 23], 0, 1))
+@pytest.mark.parametrize("seed", few([8, 42, 17, 23], 0))
 def test_a_proof_is_found_with_as_many_nodes_as_it_has(seed, monkeypatch):
     """One leaf that is left open ends it all, so that no branch keeps nodes that another one lacks."""
     rng = np.random.default_rng(seed)

@@ -89,7 +89,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("number", few(range(6), 0, 1, 2))
+@pytest.mark.parametrize("number", few(range(6), 0, 2))
 def test_every_schedule_is_below_its_mean_and_that_below_the_bound(number):
     case = (A, C), window, period, samples, spacing, late = CASES[number]
     problem = posed(*case)
@@ -171,7 +171,7 @@ def test_no_bound_by_gaps_comes_near_four_outputs_of_twenty_states(known, judged
     assert share * mixed > 2.3625  # than which no search found more
 
 
-@pytest.mark.parametrize("number", few(range(6), 1, 3))
+@pytest.mark.parametrize("number", few(range(6), 3))
 def test_any_function_of_distances_and_any_psd_weights_prove_a_bound(number):
     case = (A, C), window, period, samples, spacing, late = CASES[number]
     problem, rng = posed(*case), np.random.default_rng(5)

@@ -167,7 +167,7 @@ def test_where_the_clock_stands_changes_no_answer_as_long_as_doubles_tell_steps_
             sd.next_sample(plan, record, now=now)
 
 
-@pytest.mark.parametrize("zero", [0.0, 1.2e6])
+@pytest.mark.parametrize("zero", few([0.0, 1.2e6], 1))
 def test_a_sample_beside_the_grid_counts_from_when_it_wastaken_samples(zero):
     """The error of a drifting level is v + w d so long after a sample: its tolerance is reached after 6.8."""
     plan = every_sixth([[0.0]], [[1.0]], 0.168)
@@ -180,7 +180,9 @@ def test_a_sample_beside_the_grid_counts_from_when_it_wastaken_samples(zero):
 
 
 @pytest.mark.parametrize(
-    ("A", "tolerance"), [([[0.0]], 0.168), ([[0, 0.3], [-0.3, 0]], 0.31), ([[0.1, 0.2], [0, 0.1]], 1.12)], ids=str
+    ("A", "tolerance"),
+    few([([[0.0]], 0.168), ([[0, 0.3], [-0.3, 0]], 0.31), ([[0.1, 0.2], [0, 0.1]], 1.12)], 0, 2),
+    ids=str,
 )
 def test_floats_attain_of_samples_beside_the_grid_what_gains_prove_and_no_more(A, tolerance):
     plan = every_sixth(A, np.eye(len(A))[:1], tolerance)
@@ -439,7 +441,7 @@ def test_a_start_that_fades_before_samples_show_it_leaves_what_a_known_one_leave
     assert known[None] == pytest.approx(known[1e-3], rel=1e-3)
 
 
-@pytest.mark.parametrize("budget", [None, 1e3])
+@pytest.mark.parametrize("budget", few([None, 1e3], 1))
 def test_long_after_the_start_no_more_samples_are_looked_at_than_soon_after(week, monkeypatch, budget):
     """Counted in samples of systems and of paths back; within a budget the filter is followed from the start no longer
     than until it is near the plan's own."""

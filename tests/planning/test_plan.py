@@ -93,7 +93,7 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
     assert refused.value.nearest == {"position": nearest, "velocity": 0.9}  # what holds already is left as it is
 
 
-@pytest.mark.parametrize("kind", ["guaranteed", "standard deviation"])
+@pytest.mark.parametrize("kind", few(["guaranteed", "standard deviation"], 0))
 def test_what_not_even_all_times_keep_is_refused_with_what_spacings_allow(kind):
     terms = {"noise_bound": 0.2, "noise_deviation": 0.2, "longest_use": 4}
     given = {**GIVEN, "w_intensity": 0.01, "grid": 0.4, "spacing": 0.8, "sensors": {"y": terms}}
@@ -203,7 +203,7 @@ def test_tolerances_that_only_rounding_separates_from_the_least_are_refused_as_s
     assert 0.11 < refused.value.nearest["level"] < 0.112
 
 
-@pytest.mark.parametrize("sensor", [False, True])
+@pytest.mark.parametrize("sensor", few([False, True], 0))
 def test_a_spacing_beyond_the_period_is_refused(sensor):
     level = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])
 

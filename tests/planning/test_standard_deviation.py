@@ -484,7 +484,7 @@ def test_what_grows_without_a_sample_takes_no_digit_of_what_is_known_after_one(a
     assert GridFilter(problem, discretize(problem)).ratios(chosen[None])[0, 0, [4, 8]] == pytest.approx(expected, 1e-9)
 
 
-@pytest.mark.parametrize("growth", few([5.0, 12.0, 16.0, 20.0, 33.0], 1, 3, 4))
+@pytest.mark.parametrize("growth", few([5.0, 12.0, 16.0, 20.0, 33.0], 4))
 def test_no_choice_is_refuted_that_keeps_its_level_whatever_grows(growth):
     """Covariances refuted plans from e^15 in a gap on that were ten times better than they had to be."""
     rng, M = np.random.default_rng(int(growth)), 8

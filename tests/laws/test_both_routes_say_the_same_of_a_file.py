@@ -111,7 +111,7 @@ def of_regions():
     yield "unbounded slope", region({"code": [["x", 0], ["power", 0, 1e308]], "outputs": [1]}), False
 
 
-@pytest.mark.parametrize("kind", few(FILES, 1, 2, 4, 5, 6))
+@pytest.mark.parametrize("kind", few(FILES, 1, 2, 4, 5, 6, 7))
 def test_the_two_routes_agree_on_forged_files(kind):
     counts = {}
     for label, data, malformed in forged_files(kind):

@@ -33,10 +33,10 @@ from sampling_design.errors import SamplingDesignError as SamplingDesignError
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
+from sampling_design.estimators.kalman import SetMembershipEstimator as SetMembershipEstimator
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
 from sampling_design.estimators.records.measurements import Measurements as Measurements
 from sampling_design.estimators.records.measurements import read_measurements as read_measurements
-from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator as NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant as NonlinearPlant
 from sampling_design.observability.count.zero_count import zero_count_bound as zero_count_bound

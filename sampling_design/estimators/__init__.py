@@ -8,13 +8,12 @@ _NAMES = {
     "estimate_file": ("write_estimates",),
     "estimator_choice": ("RecordEstimator", "estimate", "estimator_for"),
     "gap_flows.cost_weights": ("CostFunction",),
-    "kalman": ("KalmanFilter",),
+    "kalman": ("KalmanFilter", "SetMembershipEstimator"),
     "mhe": ("MovingHorizonEstimator",),
     "online.curve": ("estimate_curve",),
     "online.estimate": ("Estimate",),
     "online.estimator": ("EstimateRecord", "Estimator", "GuaranteeWarning", "Sample"),
     "records.measurements": ("Measurements", "read_measurements", "write_measurements"),
-    "set_membership": ("SetMembershipEstimator",),
 }
 __getattr__, __dir__, __all__ = lazy(
     __name__, _NAMES, modules=("constraints", "gap_flows", "online", "records", "window")

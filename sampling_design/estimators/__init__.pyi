@@ -12,6 +12,7 @@ from sampling_design.estimators.estimator_choice import estimate as estimate
 from sampling_design.estimators.estimator_choice import estimator_for as estimator_for
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
+from sampling_design.estimators.kalman import SetMembershipEstimator as SetMembershipEstimator
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
 from sampling_design.estimators.online.curve import estimate_curve as estimate_curve
 from sampling_design.estimators.online.estimate import Estimate as Estimate
@@ -22,4 +23,3 @@ from sampling_design.estimators.online.estimator import Sample as Sample
 from sampling_design.estimators.records.measurements import Measurements as Measurements
 from sampling_design.estimators.records.measurements import read_measurements as read_measurements
 from sampling_design.estimators.records.measurements import write_measurements as write_measurements
-from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator

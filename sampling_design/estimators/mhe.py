@@ -21,8 +21,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.evidence import SUSPECTS
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, IncomingNode, WindowStart
-from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim, choose_horizon
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
@@ -32,8 +31,7 @@ from sampling_design.estimators.online.verdict import (
     too_large,
 )
 from sampling_design.estimators.window.smoother import smooth
-from sampling_design.estimators.window.window_estimate import WindowEstimate
-from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.estimators.window.window_problem import EstimationWindow, WindowEstimate
 from sampling_design.estimators.windowed_estimator import WindowedEstimator
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant

@@ -31,8 +31,7 @@ from sampling_design.estimators.online.history import (
     WindowStart,
 )
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, is_finite
-from sampling_design.estimators.online.recorder import Recorder
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, Recorder, is_finite
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     SolveVerdict,
@@ -43,10 +42,14 @@ from sampling_design.estimators.online.verdict import (
     scaled_bound,
 )
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
-from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import BandCache, SlidingBand
-from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
-from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.estimators.window.window_problem import (
+    DUAL_MARGIN,
+    EstimationWindow,
+    IntegralFlows,
+    MeanReading,
+    means_of,
+)
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

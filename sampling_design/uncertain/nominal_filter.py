@@ -20,8 +20,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, disco
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop
-from sampling_design.estimators.online.recorder import Recorder
+from sampling_design.estimators.online.open_loop import ErrorBounds, OpenLoop, Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, forced_flow

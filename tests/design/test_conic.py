@@ -7,8 +7,8 @@ import pytest
 from scipy import sparse
 
 from sampling_design.errors import MissingExtraError
-from sampling_design.estimators.constraints import least_distance, qp
-from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
+from sampling_design.estimators.constraints import qp
+from sampling_design.estimators.constraints.constrained_signals import LeastDistance
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.conic_programs import ConeSolver
 from tests.oracles.estimators import least_slacks
@@ -99,7 +99,7 @@ def test_the_obstacle_is_what_the_modelling_library_finds(size):
         with pytest.MonkeyPatch.context() as patch:
             for label in labels:
                 patch.setattr(LeastDistance, label, lambda _, index, *__, label=label: f"{label} {index}")
-            text = least_distance.find_obstacle(problem)
+            text = qp.find_obstacle(problem)
         amounts = [*2 * rows, *balls]
         worst = int(np.argmax(amounts))
         assert text.startswith(f"row_label {worst} " if worst < 7 else f"cone_label {worst - 7} ")
@@ -107,7 +107,7 @@ def test_the_obstacle_is_what_the_modelling_library_finds(size):
         named.add(worst)
     assert len(named) > 2
     wide = LeastDistance(2, A, -np.full(7, np.inf), np.full(7, 1e3 * size), [], np.ones(7), [], [])
-    assert least_distance.find_obstacle(wide) == ""
+    assert qp.find_obstacle(wide) == ""
 
 
 def test_a_budget_that_ran_out_is_a_status():
@@ -165,6 +165,6 @@ def test_every_problem_is_solved_in_one_thread(monkeypatch):
     rows, b = np.array([[1.0], [-1.0]]), np.array([3.0, -1.0])  # 1 <= x <= 3
     assert conic_programs.solve_cone_program(np.ones(1), [("nonnegative", rows, b)]).x[0] == pytest.approx(1.0)
     assert ConeSolver(sparse.csc_matrix(rows), [("nonnegative", 2)]).solve(np.ones(1), b)[0] == pytest.approx(1.0)
-    nearest = least_distance.conic(LeastDistance(1, rows[:1], np.ones(1), np.array([np.inf]), [], np.ones(1), [], []))
+    nearest = qp.conic(LeastDistance(1, rows[:1], np.ones(1), np.array([np.inf]), [], np.ones(1), [], []))
     assert nearest.z == pytest.approx(1.0)
     assert made == [1, 1, 1]

@@ -13,8 +13,7 @@ from sampling_design import Constraints, Plant
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import WindowConstraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.constraints.least_distance import active_set, conic, infeasibility
-from sampling_design.estimators.constraints.qp import solve_constrained
+from sampling_design.estimators.constraints.qp import active_set, conic, infeasibility, solve_constrained
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.window.smoother import solve_banded, solve_square_root

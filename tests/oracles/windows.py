@@ -10,7 +10,7 @@ import cvxpy as cp
 import numpy as np
 
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
+from sampling_design.estimators.constraints.qp import ACCEPTED, SOLVER_TOLERANCE
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.mhe import CLOSED_FORM
 from sampling_design.estimators.window.smoother import smooth

@@ -14,16 +14,14 @@ from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.accuracy.readings import RowReading
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal
+from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal, ConstraintDemands
 from sampling_design.estimators.constraints.convex_set import ConvexSet, all_inside, convex_set, set_like
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
-from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.gap_flows.cost_weights import stretches
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.evidence import EstimateAssumptions
 from sampling_design.estimators.window.sliding import OptimalTrajectory
-from sampling_design.estimators.window.window_estimate import WindowEstimate
-from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.estimators.window.window_problem import EstimationWindow, WindowEstimate
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import Record, short

@@ -19,9 +19,13 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sampling_design.estimators.online.verdict import ROUNDED, SHARE_HELD
-from sampling_design.estimators.window.means import with_means
-from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, EstimateDeviations, WindowEstimate
-from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.estimators.window.window_problem import (
+    DUAL_MARGIN,
+    EstimateDeviations,
+    EstimationWindow,
+    WindowEstimate,
+    with_means,
+)
 from sampling_design.numerics.filtering import inverse_of_unit_rows, root_update
 from sampling_design.records.arrays import Array
 

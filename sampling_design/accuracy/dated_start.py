@@ -32,8 +32,7 @@ from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import CensoredReading, Readings, RecordRow, RowReading, input_at
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.balancing import balance, balanced
-from sampling_design.numerics.linalg import expm_batch, extrapolated
+from sampling_design.numerics.linalg import balance, balanced, expm_batch, extrapolated
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array

@@ -17,8 +17,7 @@ from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, OTHER_STATES, DetectablePart, known_part, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.balancing import chain_speed
-from sampling_design.numerics.linalg import forced_flow
+from sampling_design.numerics.linalg import chain_speed, forced_flow
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.clusters import fastest_rate
 from sampling_design.plants.grouping import balanced_schur

@@ -24,7 +24,7 @@ from sampling_design.records import checks, file_io
 from sampling_design.records.dispatch import offered
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 AnyCertificate: TypeAlias = SampledCertificate | DetectabilityCertificate

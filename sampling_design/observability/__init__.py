@@ -3,10 +3,9 @@
 from sampling_design.records.lazy import lazy
 
 _NAMES = {
-    "count.critical_length": ("critical_length",),
     "count.loss_tolerance": ("loss_tolerance",),
     "count.pbh": ("UnobservableModes", "require_observable", "unobservable_modes"),
-    "count.zero_count": ("ZeroCountBound", "default_window", "zero_count_bound"),
+    "count.zero_count": ("ZeroCountBound", "critical_length", "default_window", "zero_count_bound"),
     "count.functional": ("functional_plant",),
     "sigma_bracket": ("SigmaDeviations",),
     "windows.sampled": ("observability_gramian", "observability_matrix", "sigma_min"),

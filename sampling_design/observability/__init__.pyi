@@ -2,13 +2,13 @@
 from sampling_design.observability import count as count
 from sampling_design.observability import windows as windows
 from sampling_design.observability import worst_case as worst_case
-from sampling_design.observability.count.critical_length import critical_length as critical_length
 from sampling_design.observability.count.functional import functional_plant as functional_plant
 from sampling_design.observability.count.loss_tolerance import loss_tolerance as loss_tolerance
 from sampling_design.observability.count.pbh import UnobservableModes as UnobservableModes
 from sampling_design.observability.count.pbh import require_observable as require_observable
 from sampling_design.observability.count.pbh import unobservable_modes as unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound as ZeroCountBound
+from sampling_design.observability.count.zero_count import critical_length as critical_length
 from sampling_design.observability.count.zero_count import default_window as default_window
 from sampling_design.observability.count.zero_count import zero_count_bound as zero_count_bound
 from sampling_design.observability.sigma_bracket import SigmaDeviations as SigmaDeviations

@@ -11,7 +11,7 @@ from scipy.linalg import qr
 
 from sampling_design.checkers.parts import CARRIED, misnamed, not_carried
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.balancing import balance
+from sampling_design.numerics.linalg import balance
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.plants.rows import RequestedRows

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import lapack, rsf2csf, schur
 
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.balancing import balance, balanced
+from sampling_design.numerics.linalg import balance, balanced
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.kept import kept
 

@@ -5,8 +5,7 @@ from sampling_design.records.lazy import lazy
 _NAMES = {
     "calendar": ("CalendarEntry", "write_calendar_csv", "write_ics"),
     "family": ("SamplingFamily",),
-    "family_files": ("family_from_dict",),
-    "files": ("read_schedule", "schedule_from_dict", "write_schedule"),
+    "files": ("family_from_dict", "read_schedule", "schedule_from_dict", "write_schedule"),
     "gap_range": ("GapRange",),
     "jitter": ("Jitter",),
     "lost_samples": ("LostSamples",),

@@ -3,7 +3,7 @@ from sampling_design.schedules.calendar import CalendarEntry as CalendarEntry
 from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.family import SamplingFamily as SamplingFamily
-from sampling_design.schedules.family_files import family_from_dict as family_from_dict
+from sampling_design.schedules.files import family_from_dict as family_from_dict
 from sampling_design.schedules.files import read_schedule as read_schedule
 from sampling_design.schedules.files import schedule_from_dict as schedule_from_dict
 from sampling_design.schedules.files import write_schedule as write_schedule

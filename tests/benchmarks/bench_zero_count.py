@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, SpacedWindows, zero_count_bound
-from sampling_design.observability.count.critical_length import critical_length
+from sampling_design.observability.count.zero_count import critical_length
 from sampling_design.schedules.sampling_set import SamplingSet
 
 

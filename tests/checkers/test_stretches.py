@@ -9,8 +9,7 @@ from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.checkers import claims, numbers, sampled
 from sampling_design.checkers.frame import largest
 from sampling_design.checkers.outcome import WorkLimit
-from sampling_design.numerics.ball_flow import BallFlow, fallen
-from sampling_design.numerics.balls import ball, floats, matrix, precision
+from sampling_design.numerics.balls import BallFlow, ball, fallen, floats, matrix, precision
 from tests.cases import few
 
 SEEDS = 12

@@ -20,7 +20,7 @@ from sampling_design.design.search import costs
 from sampling_design.design.search.local_search import FoundSchedule
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics import conic_programs
-from sampling_design.numerics.ball_flow import BallFlow
+from sampling_design.numerics.balls import BallFlow
 from sampling_design.observability.worst_case import spaced_search
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.records.budget import ENDLESS, Budget
@@ -29,7 +29,7 @@ from sampling_design.uncertain.existence import existence_over_box
 from sampling_design.uncertain.inclusion.program import InclusionProgram
 from sampling_design.uncertain.observability import bracket_varying
 from sampling_design.uncertain.observability.bracket_varying import kept_flows
-from sampling_design.uncertain.observability.window_balls import WindowsOverBox
+from sampling_design.uncertain.observability.window_sigma_over_box import WindowsOverBox
 from sampling_design.uncertain.plants import time_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 from tests.cases import few

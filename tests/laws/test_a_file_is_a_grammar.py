@@ -22,7 +22,7 @@ from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
-from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.plant_files import UncertainParameter

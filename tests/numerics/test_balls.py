@@ -7,7 +7,7 @@ import pytest
 
 from sampling_design.errors import MissingExtraError
 from sampling_design.numerics import balls as balls
-from sampling_design.numerics.ball_flow import BallFlow, highest
+from sampling_design.numerics.balls import BallFlow, highest
 from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.cases import few
 from tests.oracles import balls as oracle

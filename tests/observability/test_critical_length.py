@@ -3,7 +3,7 @@ import pytest
 
 from sampling_design import ArgumentError, Plant
 from sampling_design.errors import NotObservableError
-from sampling_design.observability.count.critical_length import _compound, critical_length
+from sampling_design.observability.count.zero_count import _compound, critical_length
 from tests.cases import few
 from tests.oracles import zero_count as oracle
 

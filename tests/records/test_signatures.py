@@ -23,7 +23,7 @@ from sampling_design.errors import ArgumentError, CallError, SolverError
 from sampling_design.estimators import ConvexSet, EstimateRecord
 from sampling_design.nonlinear import from_linear
 from sampling_design.nonlinear.report import ThyroidReport
-from sampling_design.observability.count.critical_length import critical_length
+from sampling_design.observability.count.zero_count import critical_length
 from sampling_design.plotting import draw
 from sampling_design.records import dispatch
 from sampling_design.records.signatures import _ForeignSystem, _kinds, checked, checked_methods, hints_of, open_verb

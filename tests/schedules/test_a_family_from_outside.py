@@ -20,7 +20,7 @@ from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import generator
 from sampling_design.schedules.family import OUTWARD, START, FamilyStep, Leeway, SamplingFamily
-from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.files import family_from_dict
 
 
 @dataclass(frozen=True, eq=False, repr=False)

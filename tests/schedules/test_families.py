@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sampling_design import ArgumentError, GapRange, Jitter, LostSamples, PeriodicSchedule, Schedule, SpacedWindows
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.schedules.family import START, SamplingFamily
-from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.schedules.sampling_set import SamplingSet
 from tests.cases import few

@@ -20,11 +20,10 @@ from sampling_design.errors import ArgumentError, NotObservableError, UndecidedE
 from sampling_design.plants.plant import Signals
 from sampling_design.uncertain.accuracy import accuracy_over_box
 from sampling_design.uncertain.box.branching import branch, halved
-from sampling_design.uncertain.box.expansion import BoxCells, exponentials
-from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.model import BoxCells, BoxModel, exponentials
 from sampling_design.uncertain.existence.largest_box import largest_box
 from sampling_design.uncertain.observability import zero_count_over_box
-from sampling_design.uncertain.observability.worst_case_balls import least_over, points_of
+from sampling_design.uncertain.observability.worst_case_over_box import least_over, points_of
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few

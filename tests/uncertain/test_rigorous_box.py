@@ -14,11 +14,9 @@ from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.plants.plant import Signals
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.box.balls import BallBox, largest_over
-from sampling_design.uncertain.box.expansion import BALLS, BoxCells, CellNorms, bases, norms_in
-from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.observability import window_balls
-from sampling_design.uncertain.observability import worst_case_balls as worst_over_box
-from sampling_design.uncertain.observability.window_balls import WindowCells, WindowsOverBox, prove_over_box
+from sampling_design.uncertain.box.model import BALLS, BoxCells, BoxModel, CellNorms, bases, norms_in
+from sampling_design.uncertain.observability import window_sigma_over_box, worst_case_over_box
+from sampling_design.uncertain.observability.window_sigma_over_box import WindowCells, WindowsOverBox, prove_over_box
 from sampling_design.uncertain.plants.plant_files import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
@@ -144,11 +142,11 @@ def test_what_is_not_proven_says_so(monkeypatch):
     few = window_sigma(plant, schedule, 0.5, rigorous=True)
     assert (few.lower, few.status, few.closed) == (0.0, "too few samples", True)
     attained = window_sigma(plant, schedule, window, rtol=0.1).upper
-    monkeypatch.setattr(window_balls, "SMALLEST", 2.0)
+    monkeypatch.setattr(window_sigma_over_box, "SMALLEST", 2.0)
     assert prove_over_box(asked, schedule, attained * 2, 60.0)[::2] == (0.0, "rounding")
     family = SpacedWindows(4.0, 3, 0.8)
-    monkeypatch.setattr(worst_over_box, "SMALLEST", 2.0)
-    monkeypatch.setattr(worst_over_box, "_pulse_sizes", lambda *_: None)
+    monkeypatch.setattr(worst_case_over_box, "SMALLEST", 2.0)
+    monkeypatch.setattr(worst_case_over_box, "_pulse_sizes", lambda *_: None)
     rough = worst_case_sigma(plant, family, rtol=0.6, rigorous=True)
     assert (rough.lower, rough.status) == (0.0, "rounding")
     late = worst_case_sigma(plant, family, rtol=0.6, budget=0.0, rigorous=True)

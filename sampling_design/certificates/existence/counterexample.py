@@ -12,8 +12,7 @@ import numpy as np
 
 from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded, too_dense
 from sampling_design.errors import CertificateError
-from sampling_design.numerics.balancing import balance, balanced, balanced_rows
-from sampling_design.numerics.linalg import expm_batch, positive_or_one
+from sampling_design.numerics.linalg import balance, balanced, balanced_rows, expm_batch, positive_or_one
 from sampling_design.observability.count.period_modes import period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant

@@ -8,9 +8,8 @@ from typing import TypedDict
 import numpy as np
 
 from sampling_design.errors import CertificateError, UndecidedError
-from sampling_design.numerics.balancing import balance, balanced, balanced_rows
 from sampling_design.numerics.filtering import measurement_update, propagate
-from sampling_design.numerics.linalg import expm_batch, positive_or_one
+from sampling_design.numerics.linalg import balance, balanced, balanced_rows, expm_batch, positive_or_one
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for, rows_between_samples
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes

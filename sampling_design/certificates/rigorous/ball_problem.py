@@ -14,8 +14,7 @@ from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
 from sampling_design.numerics import balls
-from sampling_design.numerics.ball_flow import BallFlow
-from sampling_design.numerics.balls import Ball, Matrix, ball, matrix
+from sampling_design.numerics.balls import Ball, BallFlow, Matrix, ball, matrix
 from sampling_design.records.arrays import Array, Mask
 
 

@@ -1,6 +1,6 @@
 """Proof of Y <= I over all real window starts, all later times and all periods, in ball arithmetic.
 
-1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`numerics.ball_flow`).
+1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`numerics.balls`).
    Where Y rises, the end covers the stretch: what falls is added.
 2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
    gains: the two ends of the chord cover the cell.
@@ -19,8 +19,20 @@ from functools import cached_property, reduce
 import numpy as np
 
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
-from sampling_design.numerics.ball_flow import BallFlow, fallen, highest
-from sampling_design.numerics.balls import BITS, Ball, Matrix, ball, definite, floats, identity, largest, raised
+from sampling_design.numerics.balls import (
+    BITS,
+    Ball,
+    BallFlow,
+    Matrix,
+    ball,
+    definite,
+    fallen,
+    floats,
+    highest,
+    identity,
+    largest,
+    raised,
+)
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 

@@ -21,8 +21,7 @@ from sampling_design.checkers.families import SUBJECT
 from sampling_design.checkers.family_file import OfFamily
 from sampling_design.checkers.outcome import Refused, Undecided, Verdict, holds
 from sampling_design.numerics import balls
-from sampling_design.numerics.ball_flow import HALVINGS
-from sampling_design.numerics.balls import Ball, Matrix, ball
+from sampling_design.numerics.balls import HALVINGS, Ball, Matrix, ball
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 

@@ -20,8 +20,7 @@ from sampling_design.certificates.exact.bound_weights import LARGEST, ErrorBound
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.balancing import chain_speed
-from sampling_design.numerics.linalg import symmetrise
+from sampling_design.numerics.linalg import chain_speed, symmetrise
 from sampling_design.plants.clusters import fastest_rate
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks

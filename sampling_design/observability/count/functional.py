@@ -6,8 +6,14 @@ import numpy as np
 from scipy.linalg import qr, schur
 
 from sampling_design.errors import ArgumentError, NotDetectableError
-from sampling_design.numerics.balancing import balance, balanced, balanced_rows
-from sampling_design.numerics.linalg import expm_batch, positive_or_one, right_directions
+from sampling_design.numerics.linalg import (
+    balance,
+    balanced,
+    balanced_rows,
+    expm_batch,
+    positive_or_one,
+    right_directions,
+)
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, without
 from sampling_design.plants.plant import Plant, Signals, replace_matrices

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.numerics.balancing import balance
-from sampling_design.numerics.linalg import positive_or_one, right_directions
+from sampling_design.numerics.linalg import balance, positive_or_one, right_directions
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.pbh import require_observable

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.errors import NotObservableError
-from sampling_design.numerics.balancing import balanced, balanced_rows
-from sampling_design.numerics.linalg import positive_or_one, right_directions
+from sampling_design.numerics.linalg import balanced, balanced_rows, positive_or_one, right_directions
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, format_eigenvalue
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from sampling_design.numerics.balancing import balanced_rows
-from sampling_design.numerics.linalg import expm_batch, positive_or_one, right_directions
+from sampling_design.numerics.linalg import balanced_rows, expm_batch, positive_or_one, right_directions
 from sampling_design.numerics.modal_flow import CONDITION_LIMIT
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of

@@ -13,13 +13,14 @@ from fractions import Fraction
 
 import numpy as np
 
-from sampling_design.numerics.ball_flow import BallFlow, highest
 from sampling_design.numerics.balls import (
     Ball,
+    BallFlow,
     Matrix,
     ball,
     flint,
     floats,
+    highest,
     identity,
     largest,
     matrix,

@@ -24,8 +24,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from sampling_design.numerics.ball_flow import BallFlow
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, matrix, rational, stacked
+from sampling_design.numerics.balls import Ball, BallFlow, Matrix, ball, definite, matrix, rational, stacked
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.balls import SHAVES, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows, output_groups

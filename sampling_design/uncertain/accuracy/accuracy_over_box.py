@@ -28,8 +28,7 @@ from sampling_design.schedules.family import period_of
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, bisected
-from sampling_design.uncertain.box.expansion import BoxCells
-from sampling_design.uncertain.box.model import at_parameters, require_constant_box
+from sampling_design.uncertain.box.model import BoxCells, at_parameters, require_constant_box
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Both = tuple[Array, Array]

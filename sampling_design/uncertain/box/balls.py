@@ -14,8 +14,7 @@ import numpy as np
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, floats, identity, matrix, symmetric
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
-from sampling_design.uncertain.box.expansion import BALLS, CellNorms, bases
-from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.model import BALLS, BoxModel, CellNorms, bases
 
 RAISES = (1e-12, 1e-9, 1e-5)
 """By how much of its size a guessed bound is raised before it is proven, one after the other."""

@@ -20,8 +20,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.record import below, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import halved, least_near
-from sampling_design.uncertain.box.expansion import UP, BoxCells, expanded, signs
-from sampling_design.uncertain.box.model import BoxModel, at_parameters
+from sampling_design.uncertain.box.model import UP, BoxCells, BoxModel, at_parameters, expanded, signs
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Margin = Callable[[Plant], tuple[bool, float, str]]  # of a plant: whether a certificate exists, how clearly, and why

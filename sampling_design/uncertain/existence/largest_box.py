@@ -21,10 +21,9 @@ from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import TOGETHER, bisected, judged_in_time
 from sampling_design.uncertain.box.branching import descended as descended_sigma
-from sampling_design.uncertain.box.expansion import BoxCells
-from sampling_design.uncertain.box.model import BoxModel, at_parameters
+from sampling_design.uncertain.box.model import BoxCells, BoxModel, at_parameters
 from sampling_design.uncertain.existence.existence_over_box import FilteredErrors, descended, looked_at, margin_on
-from sampling_design.uncertain.observability.window_balls import WindowsOverBox
+from sampling_design.uncertain.observability.window_sigma_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Judged = tuple[Mask, Mask, Array]

@@ -20,7 +20,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, above, below
 from sampling_design.schedules.family import SamplingFamily, period_of
-from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.members import Schedules, graph_for

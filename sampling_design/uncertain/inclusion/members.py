@@ -23,7 +23,7 @@ from sampling_design.certificates.families.graphs import PathCompleteGraph, grap
 from sampling_design.certificates.form.horizon import output_information
 from sampling_design.checkers.family_file import Edge
 from sampling_design.errors import SamplingDesignError
-from sampling_design.numerics.balancing import balance
+from sampling_design.numerics.linalg import balance
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily

@@ -20,8 +20,7 @@ from sampling_design.certificates.form.horizon import Constant, ConstantList
 from sampling_design.certificates.paper.observable_case import LARGEST, SAFE, ProvenWeights
 from sampling_design.certificates.paper.proof_constants import PaperConstants, theorem_9
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.numerics.balancing import balance
-from sampling_design.numerics.linalg import generalised_max
+from sampling_design.numerics.linalg import balance, generalised_max
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

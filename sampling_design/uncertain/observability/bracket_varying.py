@@ -27,8 +27,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.balancing import balance
-from sampling_design.numerics.linalg import right_directions
+from sampling_design.numerics.linalg import balance, right_directions
 from sampling_design.observability.alignment import align
 from sampling_design.observability.sigma_bracket import SigmaDeviations, uninterrupted
 from sampling_design.observability.windows.bracket import WindowBracket, too_few

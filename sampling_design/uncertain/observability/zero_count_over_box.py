@@ -15,9 +15,8 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
-from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, signs
-from sampling_design.uncertain.box.model import BoxModel, at_parameters
-from sampling_design.uncertain.observability.window_balls import WindowsOverBox
+from sampling_design.uncertain.box.model import UP, BoxCells, BoxModel, at_parameters, bases, signs
+from sampling_design.uncertain.observability.window_sigma_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 SLOWEST = 1e-3  # frequencies below this share of |A| count as none: the count is taken with this much more

@@ -27,7 +27,7 @@ from sampling_design.certificates.files import read_certificate as read_certific
 from sampling_design.design.design import design_schedule as design_schedule
 from sampling_design.design.pareto import pareto_front as pareto_front
 from sampling_design.design.problem.requirement import Requirement as Requirement
-from sampling_design.design.problem.requirement_file import read_requirement as read_requirement
+from sampling_design.design.problem.requirement import read_requirement as read_requirement
 from sampling_design.errors import ArgumentError as ArgumentError
 from sampling_design.errors import SamplingDesignError as SamplingDesignError
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints

@@ -25,8 +25,8 @@ from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, left_open, strongest_witness
 from sampling_design.errors import UndecidedError
 from sampling_design.observability.alignment import align
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress

@@ -21,8 +21,8 @@ from sampling_design.accuracy.timing import KEPT_ROOM, added, is_enough, keeps_t
 from sampling_design.accuracy.undetectable import DetectablePart, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.functional import RequestedRows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import (

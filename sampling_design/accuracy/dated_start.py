@@ -33,7 +33,7 @@ from sampling_design.accuracy.readings import CensoredReading, Readings, RecordR
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import balance, balanced, expm_batch, extrapolated
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 

@@ -15,8 +15,8 @@ from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, carried, correlation_root, covariance_root, noise_roots
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, symmetrise
 from sampling_design.observability.alignment import align
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze

@@ -16,7 +16,7 @@ import numpy as np
 
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.records.arrays import Array, Index
 
 PANEL = 0.03125

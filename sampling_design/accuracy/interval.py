@@ -22,8 +22,8 @@ from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze

@@ -14,13 +14,12 @@ from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.functional import RequestedRows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows
 from sampling_design.records import file_io
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.evidence import with_digest
-from sampling_design.records.record import Plain
+from sampling_design.records.record import Plain, with_digest
 
 CLAIM = "interval"
 

@@ -18,8 +18,7 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.undetectable import output_scales
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.linalg import forced_flow
-from sampling_design.plants.clusters import eigenvalue_clusters
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Complex, Index, Mask
 

@@ -19,10 +19,9 @@ from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, phy
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import chain_speed, forced_flow
 from sampling_design.observability.count.pbh import unobservable_modes
-from sampling_design.plants.clusters import fastest_rate
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur, fastest_rate
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget

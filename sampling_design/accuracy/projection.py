@@ -19,7 +19,7 @@ from sampling_design.accuracy.witness import attains, physical
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import CovarianceMap, information_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
-from sampling_design.plants.rows import requested_rows
+from sampling_design.plants.functional import requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze

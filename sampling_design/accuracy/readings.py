@@ -21,7 +21,7 @@ from sampling_design.accuracy.bounds import BoundedSet
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import discounted_flow, forced_flow
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask

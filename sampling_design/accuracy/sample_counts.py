@@ -11,8 +11,8 @@ from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant, remade
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget

@@ -23,7 +23,7 @@ from sampling_design.accuracy.riccati import least_bounds, settled
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import update_with_gain
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 

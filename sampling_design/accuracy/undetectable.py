@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from sampling_design.numerics.linalg import expm_batch, right_directions
-from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur, eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records.arrays import Array, Complex, Index
 

@@ -18,7 +18,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import GainSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget

@@ -41,13 +41,13 @@ from sampling_design.errors import ArgumentError, CertificateError, UndecidedErr
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant, Signals, remade
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget, Progress
 from sampling_design.records.dispatch import OpenPlant, registered
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.jitter import Jitter, Timing, TimingTolerance

@@ -22,7 +22,7 @@ from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks, file_io
 from sampling_design.records.dispatch import offered
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

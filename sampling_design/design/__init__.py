@@ -8,8 +8,7 @@ _NAMES = {
     "design_files": ("write_design",),
     "losses": ("SampleLosses", "design_and_losses", "sample_losses"),
     "pareto": ("ParetoFront", "ParetoPoint", "pareto_front"),
-    "problem.requirement": ("Requirement",),
-    "problem.requirement_file": ("read_requirement", "requirement_from_dict", "write_requirement"),
+    "problem.requirement": ("Requirement", "read_requirement", "requirement_from_dict", "write_requirement"),
     "schedule_design": ("ScheduleDesign",),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("bounds", "problem", "search"))

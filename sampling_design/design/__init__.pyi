@@ -13,7 +13,7 @@ from sampling_design.design.pareto import ParetoFront as ParetoFront
 from sampling_design.design.pareto import ParetoPoint as ParetoPoint
 from sampling_design.design.pareto import pareto_front as pareto_front
 from sampling_design.design.problem.requirement import Requirement as Requirement
-from sampling_design.design.problem.requirement_file import read_requirement as read_requirement
-from sampling_design.design.problem.requirement_file import requirement_from_dict as requirement_from_dict
-from sampling_design.design.problem.requirement_file import write_requirement as write_requirement
+from sampling_design.design.problem.requirement import read_requirement as read_requirement
+from sampling_design.design.problem.requirement import requirement_from_dict as requirement_from_dict
+from sampling_design.design.problem.requirement import write_requirement as write_requirement
 from sampling_design.design.schedule_design import ScheduleDesign as ScheduleDesign

@@ -11,16 +11,24 @@ import numpy as np
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, bound_of_count, gap_bounded
-from sampling_design.design.bounds.ordered_windows import flow_of
 from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed, sigma_of_moved
-from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates, rival_counts
+from sampling_design.design.bounds.zones import flow_of
 from sampling_design.design.folding import folded, parts, unfolded
 from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.interrupt import DesignInterrupt
 from sampling_design.design.problem.posing import in_own_unit, pose, resolve, split_for
 from sampling_design.design.problem.requirement import Requirement
-from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
+from sampling_design.design.schedule_design import (
+    CountProblem,
+    ScheduleDesign,
+    bounded,
+    brought_back,
+    candidates,
+    designed_plant,
+    prove,
+    rival_counts,
+)
 from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import search
@@ -29,10 +37,9 @@ from sampling_design.errors import InfeasibleRequirementError, SolverError
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import rtol_and_seconds
 from sampling_design.observability.windows.window_record import WindowSigma
-from sampling_design.plants.functional import counted_rows
+from sampling_design.plants.functional import Wanted, counted_rows
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, Progress

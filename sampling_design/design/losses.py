@@ -7,17 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sampling_design.design.count_problem import bounded
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.problem.requirement import Requirement
-from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
+from sampling_design.design.schedule_design import ScheduleDesign, bounded, designed_plant, prove
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.window_record import WindowSigma
-from sampling_design.plants.functional import counted_rows
+from sampling_design.plants.functional import Wanted, counted_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress

@@ -14,8 +14,7 @@ import numpy as np
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import Tree, count, flag, list_of, nonnegative, number, or_nothing, table, text
 from sampling_design.design.design import design_schedule
-from sampling_design.design.problem.requirement import Requirement
-from sampling_design.design.problem.requirement_file import TIMING
+from sampling_design.design.problem.requirement import TIMING, Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant

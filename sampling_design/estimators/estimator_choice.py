@@ -25,8 +25,8 @@ from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFrame, Series
 from sampling_design.estimators.records.measurements import Measurements, read_measurements
 from sampling_design.observability.count.functional import part_for
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Progress
 from sampling_design.records.record import short

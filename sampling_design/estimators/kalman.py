@@ -40,8 +40,8 @@ from sampling_design.estimators.windowed_estimator import WindowedEstimator
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.count.functional import part_for
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze

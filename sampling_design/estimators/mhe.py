@@ -34,8 +34,8 @@ from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.window_problem import EstimationWindow, WindowEstimate
 from sampling_design.estimators.windowed_estimator import WindowedEstimator
 from sampling_design.observability.count.functional import part_for
+from sampling_design.plants.functional import RowArguments
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RowArguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze

@@ -20,8 +20,8 @@ from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.evidence import output_of
 from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.estimators.records.measurements import Measurements
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Progress
 from sampling_design.records.checks import freeze

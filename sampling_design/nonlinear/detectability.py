@@ -22,8 +22,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import YesOrNo, short
+from sampling_design.records.record import Claim, YesOrNo, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sampling_set import SamplingSet

@@ -18,7 +18,7 @@ import numpy as np
 
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 
 if TYPE_CHECKING:
     from clarabel import DefaultSettings, DefaultSolver

@@ -234,7 +234,7 @@ def _conjugate_pairs(values: Entries) -> Entries:
 def _clusterings(values: Entries, radius: float) -> Iterator[Index]:
     """Labels of single-linkage clusters, from fine to coarse, until everything is one cluster.
 
-    Which eigenvalues are one is not asked here (`plants/grouping.py` does): blocks are coarsened until their basis is
+    Which eigenvalues are one is not asked here (`plants/clusters.py` does): blocks are coarsened until their basis is
     well conditioned, whatever their eigenvalues.
     """
     distance = np.abs(values[:, None] - values[None, :])

@@ -22,8 +22,8 @@ from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.plants.functional import RequestedRows, requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RequestedRows, requested_rows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import PlainRecord, TableRecord, above

@@ -11,8 +11,8 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.alignment import align
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.requirement import KINDS, PlanRequirement
+from sampling_design.plants.functional import requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze

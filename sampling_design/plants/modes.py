@@ -11,8 +11,15 @@ import numpy.typing as npt
 from scipy.linalg import lapack, qr, solve_triangular
 
 from sampling_design.errors import MathematicsError
-from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, eigenvalue_clusters, format_eigenvalue
-from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur
+from sampling_design.plants.clusters import (
+    CLUSTER_CAP,
+    EigenvalueCluster,
+    SchurForm,
+    balanced_schur,
+    clusters_of,
+    eigenvalue_clusters,
+    format_eigenvalue,
+)
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex

@@ -8,6 +8,8 @@ HTML and `to_dict` are made from that. A record that computes a line overrides `
 
 What a verb of the front door returns says five things first, in one order and under one set of labels (`ANSWERS`):
 `_answers` holds the first four, the last is known from what draws it.
+
+What stands behind a number: a claim with its theorem, and a record of the solver that found it.
 """
 
 from __future__ import annotations
@@ -15,17 +17,18 @@ from __future__ import annotations
 import inspect
 from abc import ABCMeta
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, dataclass, field, fields
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, NamedTuple, Self, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_text, is_whole, likely
+from sampling_design.checkers.parts import FORMAT, digest
+from sampling_design.checkers.strict import Tree, is_text, is_whole, likely
 from sampling_design.errors import ArgumentError, CallError, MissingExtraError, UndecidedError
 from sampling_design.records import checks
-from sampling_design.records.declarations import Column, columns, said, selected
+from sampling_design.records.declarations import Column, columns, plain, said, selected
 from sampling_design.records.declarations import Plain as Plain
 from sampling_design.records.declarations import above as above
 from sampling_design.records.declarations import below as below
@@ -38,6 +41,74 @@ from sampling_design.records.signatures import checked_methods, misfit, within
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
+
+Strength = Literal["proven", "attained", "sampled"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement with its source and its strength.
+
+    `strength` is "proven" (a theorem and a computed bound), "attained" (a witness reaches it) or
+    "sampled" (only looked at in places; evidence, not proof).
+    """
+
+    statement: str
+    theorem: str = ""
+    assumptions: tuple[str, ...] = ()
+    strength: Strength = "proven"
+    citation: str = ""
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; tuples become lists."""
+        data = asdict(self)
+        data["assumptions"] = list(self.assumptions)
+        return data
+
+    @property
+    def evidence(self) -> str:
+        """How strong it is, and by which theorem."""
+        return f"{self.strength}: {self.theorem}" if self.theorem else self.strength
+
+    def __str__(self) -> str:
+        source = f" [{self.theorem}]" if self.theorem else ""
+        given = f" given {'; '.join(self.assumptions)}" if self.assumptions else ""
+        return f"{self.strength}: {self.statement}{source}{given}"
+
+
+@dataclass(frozen=True)
+class SolverRecord:
+    """Which solver ran and how it ended. Never evidence, only provenance.
+
+    `seconds` is what files of before say; how long it took is not written any more, so that the same call gives the
+    same file.
+    """
+
+    name: str
+    version: str = ""
+    status: str = ""
+    iterations: int = 0
+    details: Mapping[str, Plain] = field(default_factory=dict)
+    seconds: float | None = None
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+def with_digest(plant: object, parts: Mapping[str, object], **after: object) -> Tree:
+    """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
+    from sampling_design import __version__  # which stands above every room
+
+    data: Tree = {
+        "format": FORMAT,
+        "plant": plain(plant),
+        **{key: plain(part) for key, part in parts.items()},
+        "tool": {"name": "sampling_design", "version": __version__},
+        **{key: plain(part) for key, part in after.items()},
+    }
+    data["digest"] = digest(data)
+    return data
 
 
 Listed = TypeVar("Listed")

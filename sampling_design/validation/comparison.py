@@ -17,8 +17,8 @@ from sampling_design.errors import ArgumentError, CallError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import Estimator, answering
 from sampling_design.observability.count.functional import part_for
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Progress
 from sampling_design.records.checks import Seed
@@ -32,14 +32,16 @@ from sampling_design.validation.monte_carlo import growth, own_growth, read_tria
 from sampling_design.validation.report import ClaimCheck, ErrorCurve, ValidationReport
 from sampling_design.validation.scenario import (
     ErrorSources,
+    EstimatedRun,
     ScenarioBounds,
     draw_inputs,
     initial_inputs,
+    real_run,
     resonant_inputs,
+    true_run,
 )
 from sampling_design.validation.study import GROWTH_LIMIT, SCENARIOS, ValidationStudy
 from sampling_design.validation.timeline import GAPS_TO_SETTLE, Timeline, build_timeline, default_duration
-from sampling_design.validation.trials import EstimatedRun, real_run, true_run
 
 
 @checked

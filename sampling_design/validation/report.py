@@ -12,8 +12,16 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Strength
-from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, below, markdown_table, short
+from sampling_design.records.record import (
+    ListRecord,
+    Plain,
+    PlainRecord,
+    Strength,
+    YesOrNo,
+    below,
+    markdown_table,
+    short,
+)
 
 ROUNDING = 1e-8  # a promise counts as kept while it is exceeded by no more than this share: the rounding of a long run
 

@@ -16,8 +16,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Progress
-from sampling_design.records.evidence import Strength
-from sampling_design.records.record import moment, short
+from sampling_design.records.record import Strength, moment, short
 from sampling_design.records.sweeps import Journal
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
@@ -28,14 +27,18 @@ from sampling_design.validation.pairs import worst_pair
 from sampling_design.validation.report import ROUNDING, ClaimCheck, ErrorCurve, ExampleRun, ValidationReport
 from sampling_design.validation.scenario import (
     ErrorSources,
+    EstimatedRun,
     ScenarioBounds,
     draw_inputs,
+    driven,
+    extent,
     initial_inputs,
     norm_of,
+    real_run,
     resonant_inputs,
+    true_run,
 )
 from sampling_design.validation.timeline import GAPS_TO_SETTLE, Timeline, build_timeline, default_duration
-from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
 
 Seeds = Sequence[np.random.SeedSequence]
 

@@ -16,7 +16,7 @@ from sampling_design.accuracy.record_readings import read_record
 from sampling_design.accuracy.record_rows import arrived
 from sampling_design.accuracy.unknown_start import NEAR, FreeStart
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.rows import requested_rows
+from sampling_design.plants.functional import requested_rows
 from tests.cases import few
 from tests.counted_clock import Counted
 

@@ -11,9 +11,8 @@ from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.validation.apriori_bound import sensitivity
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.monte_carlo import monte_carlo
-from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs, real_run, true_run
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.trials import real_run, true_run
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])

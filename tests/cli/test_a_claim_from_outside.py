@@ -21,7 +21,7 @@ from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
 from sampling_design.checkers.outcome import Refused, Verdict, holds
 from sampling_design.numerics.balls import ball, definite, matrix, symmetric
-from sampling_design.records.evidence import Claim, with_digest
+from sampling_design.records.record import Claim, with_digest
 
 INEQUALITY = "P > 0 and A'P + PA + eta P < 0"
 

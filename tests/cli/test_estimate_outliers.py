@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli.estimate_rows import EstimateOptions
+from sampling_design.cli.estimate import EstimateOptions
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.record_intervals import estimates_despite_outliers
 from tests.cases import few

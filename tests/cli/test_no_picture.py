@@ -4,7 +4,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli import estimate as estimate_command
-from sampling_design.cli.estimate_rows import EstimateOptions
+from sampling_design.cli.estimate import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 

@@ -14,11 +14,19 @@ from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, local_part, ordered_part, zone_part
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
-from sampling_design.design.bounds.ordered_windows import flow_of, ordered_bound, relax_ordered
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
-from sampling_design.design.bounds.zones import begins, origin_zones, regions, tightened, zoned
+from sampling_design.design.bounds.zones import (
+    begins,
+    flow_of,
+    ordered_bound,
+    origin_zones,
+    regions,
+    relax_ordered,
+    tightened,
+    zoned,
+)
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.budget import Budget
 from tests.cases import few

@@ -12,7 +12,7 @@ from sampling_design.design import sample_losses
 from sampling_design.design.bounds import relaxation
 from sampling_design.design.bounds.weak_duality import best_choice
 from sampling_design.design.problem.posing import pose
-from sampling_design.design.problem.requirement_file import write_requirement
+from sampling_design.design.problem.requirement import write_requirement
 from sampling_design.design.search.costs import relax_costly
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.numerics import conic_programs

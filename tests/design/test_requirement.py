@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Requirement, read_requirement
-from sampling_design.design.problem.requirement import FORMAT
-from sampling_design.design.problem.requirement_file import requirement_from_dict, write_requirement
+from sampling_design.design.problem.requirement import FORMAT, requirement_from_dict, write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.sensor import Sensor
 

@@ -6,7 +6,7 @@ import pytest
 import sampling_design as sd
 from sampling_design import plotting
 from sampling_design.accuracy.record_program import RecordProgram
-from sampling_design.cli import estimate_rows
+from sampling_design.cli import estimate
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.curve import EstimateEnvelope
@@ -35,7 +35,7 @@ def followed(folder, radii, tube=False, **flags):
     record = sd.Measurements(PLANT, times, np.cos(times)[:, None])
     estimator = sd.MovingHorizonEstimator(PLANT, horizon=4.0, **BOUNDS)
     settings = Settings("estimate", output=folder, quiet=True, **flags)
-    estimate_rows.followed(settings, estimator, record, estimate_rows.EstimateOptions(radii, tube), "words", BOUNDS)
+    estimate.followed(settings, estimator, record, estimate.EstimateOptions(radii, tube), "words", BOUNDS)
     return [path.name for path in settings.files]
 
 

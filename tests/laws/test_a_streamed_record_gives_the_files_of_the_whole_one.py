@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli import estimate_rows
-from sampling_design.cli.estimate_rows import EstimateOptions
+from sampling_design.cli import estimate
+from sampling_design.cli.estimate import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.online import in_order
@@ -103,7 +103,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
         object.__setattr__(moved, "radii", whole.ellipsoid_radii)
         moved.__dict__["estimates"] = tuple(replace(each, proof=None) for each in whole.estimates)
     settings = Settings("estimate", output=tmp_path / "out", as_json=True, quiet=True)
-    tally = estimate_rows.followed(settings, estimator(), record, EstimateOptions(radii), "words", BOUNDS)
+    tally = estimate.followed(settings, estimator(), record, EstimateOptions(radii), "words", BOUNDS)
     printed = capsys.readouterr().out
     expected = {**moved.to_dict(), "radii_of": radii, "guarantee": "words", "horizon": 3.0}
     assert printed == to_json(settings.named(expected)) == (tmp_path / "out/estimates.json").read_text()
@@ -120,10 +120,10 @@ def test_an_error_in_a_later_row_leaves_no_file(tmp_path):
         Settings("estimate", output=tmp_path / "out", quiet=True), sd.MovingHorizonEstimator(PLANT, horizon=3.0)
     )  # fmt: skip
     with pytest.raises(ArgumentError, match="goes back beyond the window"):
-        estimate_rows.followed(settings, estimator, record, ELLIPSOIDS, "words", BOUNDS)
+        estimate.followed(settings, estimator, record, ELLIPSOIDS, "words", BOUNDS)
     assert list((tmp_path / "out").iterdir()) == []
     with pytest.raises(ArgumentError, match="`radii` must be one of intervals, centred, ellipsoids, got 'ellipses'"):
-        estimate_rows.followed(settings, estimator, record, EstimateOptions("ellipses"), "", BOUNDS)
+        estimate.followed(settings, estimator, record, EstimateOptions("ellipses"), "", BOUNDS)
 
 
 def test_memory_does_not_grow_with_the_record():
@@ -135,7 +135,7 @@ def test_memory_does_not_grow_with_the_record():
         settings = Settings("estimate", quiet=True)
         tracemalloc.start()
         estimator = sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
-        estimate_rows.followed(settings, estimator, record, ELLIPSOIDS, "words", BOUNDS)
+        estimate.followed(settings, estimator, record, ELLIPSOIDS, "words", BOUNDS)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return peak

@@ -19,9 +19,8 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.monte_carlo import ratio
 from sampling_design.validation.report import ROUNDING, ClaimCheck
-from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import ErrorSources, EstimatedRun, ScenarioBounds, draw_inputs, true_run
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.trials import EstimatedRun, true_run
 from tests.cases import few
 from tests.rescale import Units
 

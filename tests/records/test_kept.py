@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design.numerics.linalg import balance, discounted_flow, expm_batch, exponential_terms
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.records.kept import ENTRIES, LARGE, kept
 
 

@@ -8,8 +8,7 @@ import pytest
 from sampling_design import plotting
 from sampling_design.errors import ArgumentError
 from sampling_design.records import record
-from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Claim, Record, SolverRecord, short
 
 
 @dataclass(frozen=True, eq=False, repr=False)

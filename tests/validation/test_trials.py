@@ -7,9 +7,8 @@ from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant, val
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.validation.error_map import ErrorMap
-from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs, driven, extent, real_run, true_run
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.trials import driven, extent, real_run, true_run
 from tests.cases import few
 from tests.oracles.validation import integrate
 

@@ -17,8 +17,7 @@ from sampling_design.certificates.exact.window_problem import whitened_rows, win
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, below, probability, short
+from sampling_design.records.record import Claim, PlainRecord, below, probability, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 

@@ -20,8 +20,8 @@ from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_te
 from sampling_design.certificates.form.claims import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.observability.count.functional import part_for
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant, first_difference
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.record import PlainRecord, TableRecord, above, below, short

@@ -15,8 +15,8 @@ from sampling_design.numerics.filtering import stationary_covariance
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import below, short

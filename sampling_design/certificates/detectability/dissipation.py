@@ -16,8 +16,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, above, below, frozen
-from sampling_design.records.evidence import Claim, SolverRecord, with_digest
-from sampling_design.records.record import Plain
+from sampling_design.records.record import Claim, Plain, SolverRecord, with_digest
 
 METHODS = ("riccati", "proof", "given")
 

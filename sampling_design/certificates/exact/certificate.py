@@ -32,8 +32,7 @@ from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim, SolverRecord, with_digest
-from sampling_design.records.record import Plain, above, below, moment
+from sampling_design.records.record import Claim, Plain, SolverRecord, above, below, moment, with_digest
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

@@ -34,7 +34,7 @@ from sampling_design.numerics.balls import Ball, Matrix, ball, cholesky, definit
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
 BITS = 400  # binary digits: a hundred decimal ones beside those that conditions of 1e45 lose

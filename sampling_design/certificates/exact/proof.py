@@ -27,7 +27,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import plain
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
 Provable = TypeVar("Provable", bound=SampledCertificate)

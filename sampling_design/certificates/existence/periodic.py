@@ -14,9 +14,8 @@ from sampling_design.observability.alignment import align
 from sampling_design.observability.count.functional import part_for, rows_between_samples
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.functional import FunctionalPlant
+from sampling_design.plants.functional import FunctionalPlant, Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import PlainRecord, YesOrNo, below, short
 from sampling_design.records.signatures import checked, open_verb

@@ -35,8 +35,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget, Progress
-from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.record import Plain, below, short
+from sampling_design.records.record import Plain, SolverRecord, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 

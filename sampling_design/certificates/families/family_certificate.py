@@ -12,8 +12,7 @@ from sampling_design.certificates.form.claims import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import below
+from sampling_design.records.record import Claim, below
 from sampling_design.schedules.family import SamplingFamily
 
 

@@ -22,7 +22,7 @@ from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import psd_root
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 
 ConeRows = tuple[str, Array | sparse.csc_matrix, Array]
 

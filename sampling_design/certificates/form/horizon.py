@@ -11,8 +11,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import unit_diagonal
 from sampling_design.records.declarations import BOUNDS, above, below, in_latex, latex_number, latex_table
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Claim, Record, short
 from sampling_design.records.signatures import checked_methods
 
 

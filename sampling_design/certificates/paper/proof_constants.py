@@ -23,8 +23,7 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import PlainRecord, above, below
+from sampling_design.records.record import Claim, PlainRecord, SolverRecord, above, below
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

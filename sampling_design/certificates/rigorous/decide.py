@@ -38,8 +38,7 @@ from sampling_design.records import file_io
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.declarations import in_latex, latex_matrix
 from sampling_design.records.dispatch import offered
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, Record
+from sampling_design.records.record import Claim, Plain, Record
 
 REPLAY = 1e-6  # what a witness may miss of its stated ratio, relative
 NEAR = 1e-9

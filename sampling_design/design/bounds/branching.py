@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, chosen_in, local_part, ordered_part, zone_part
-from sampling_design.design.bounds.ordered_windows import flow_of
 from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
-from sampling_design.design.bounds.zones import Side, halves, regions, sides, tightened, zoned
+from sampling_design.design.bounds.zones import Side, flow_of, halves, regions, sides, tightened, zoned
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.feasible import changed

@@ -10,7 +10,6 @@ import numpy as np
 
 from sampling_design.design.bounds.gap_bound import gap_bound, relax_gaps
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
-from sampling_design.design.bounds.ordered_windows import flow_of, ordered_bound, relax_ordered
 from sampling_design.design.bounds.relaxation import (
     JUST_BESIDE,
     LEAST_SECONDS,
@@ -27,8 +26,11 @@ from sampling_design.design.bounds.zones import (
     Side,
     begins,
     covered,
+    flow_of,
+    ordered_bound,
     region_of,
     regions,
+    relax_ordered,
     sides,
     tightened,
     zoned,

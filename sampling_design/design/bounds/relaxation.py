@@ -17,7 +17,7 @@ from sampling_design.numerics.eigenvalue_program import MixedMatrices, brackets
 from sampling_design.numerics.linalg import psd_root
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""

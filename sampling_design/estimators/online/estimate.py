@@ -14,7 +14,7 @@ from sampling_design.accuracy.interval import Interval
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.numerics.filtering import inverse_root
-from sampling_design.plants.rows import Wanted
+from sampling_design.plants.functional import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze

@@ -16,8 +16,8 @@ from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.numerics.filtering import correlation_root
+from sampling_design.plants.functional import Wanted, requested_rows
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, requested_rows
 from sampling_design.records.arrays import Array
 
 SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds

@@ -15,9 +15,8 @@ from sampling_design.numerics.linalg import (
     right_directions,
 )
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, unobservable_modes
-from sampling_design.plants.functional import FunctionalPlant, without
+from sampling_design.plants.functional import FunctionalPlant, RequestedRows, Wanted, requested_rows, without
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked

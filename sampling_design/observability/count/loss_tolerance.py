@@ -14,8 +14,7 @@ from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, counted, moment, probability
+from sampling_design.records.record import Claim, PlainRecord, counted, moment, probability
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 

@@ -9,8 +9,16 @@ import numpy as np
 
 from sampling_design.errors import NotObservableError
 from sampling_design.numerics.linalg import balanced, balanced_rows, positive_or_one, right_directions
-from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, format_eigenvalue
-from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
+from sampling_design.plants.clusters import (
+    CLUSTER_CAP,
+    SPREAD,
+    EigenvalueCluster,
+    SchurForm,
+    balanced_schur,
+    clusters_of,
+    format_eigenvalue,
+    invariant_subspace,
+)
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex

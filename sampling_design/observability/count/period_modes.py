@@ -17,8 +17,15 @@ from scipy.linalg import block_diag
 from sampling_design.numerics.linalg import balanced_rows, expm_batch, positive_or_one, right_directions
 from sampling_design.numerics.modal_flow import CONDITION_LIMIT
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
-from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
-from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
+from sampling_design.plants.clusters import (
+    CLUSTER_CAP,
+    SPREAD,
+    EigenvalueCluster,
+    SchurForm,
+    balanced_schur,
+    clusters_of,
+    invariant_subspace,
+)
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.schedules.schedule import PeriodicSchedule

@@ -17,14 +17,13 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.checks import described
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import Claim, PlainRecord, short
 from sampling_design.records.signatures import checked, open_verb
 
 LARGEST_ORDER = 12  # the k-th compound has C(n, k) rows: 924 at n = 12, k = 6

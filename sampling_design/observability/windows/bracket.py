@@ -19,7 +19,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import right_directions
 from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.observability.windows.timing import least_observed, rows_of_any_time
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, Progress

@@ -17,8 +17,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.budget import Budget, BudgetSpentError, Progress
 from sampling_design.records.declarations import Column, above, below
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, moment, short
+from sampling_design.records.record import Claim, CurveRecord, Plain, TableRecord, Variable, counted, moment, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

@@ -15,8 +15,8 @@ from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.sigma_bracket import SHARE, SigmaBracket, SigmaDeviations, uninterrupted
 from sampling_design.observability.windows.pieces import WindowPieces, window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, checked_pieces, sigma_of_pieces
+from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.record import short

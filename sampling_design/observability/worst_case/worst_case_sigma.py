@@ -21,17 +21,15 @@ from sampling_design.observability.worst_case.spaced_rows import SpacedRows, wit
 from sampling_design.observability.worst_case.spaced_search import AttainedSchedule
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.observability.worst_case.spaced_times import has_few_times, prove_by_times
-from sampling_design.plants.functional import rows_counted, wider_beside
-from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.clusters import balanced_schur
+from sampling_design.plants.functional import Wanted, rows_counted, wider_beside
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, above, below, counted, moment, short
+from sampling_design.records.record import Claim, Plain, above, below, counted, moment, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows

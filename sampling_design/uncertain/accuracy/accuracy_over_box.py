@@ -16,13 +16,12 @@ from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.numerics.linalg import extrapolated
 from sampling_design.observability.alignment import align
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant, Signals, remade
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import above, below
+from sampling_design.records.record import Claim, above, below
 from sampling_design.records.vector_bounds import vector_bound
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.jitter import TimingTolerance

@@ -13,13 +13,12 @@ from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound, InitialSet, SignalBounds
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import align
-from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows, row_arguments
+from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows, row_arguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import freeze
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import above, below, short
+from sampling_design.records.record import Claim, above, below, short
 from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others

@@ -14,8 +14,7 @@ from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import PlainRecord, above, below, short
+from sampling_design.records.record import Claim, PlainRecord, above, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

@@ -17,8 +17,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, above, below
+from sampling_design.records.record import Claim, Plain, above, below
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from sampling_design.numerics import conic_programs
 from sampling_design.records.arrays import Array, Index
-from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import SolverRecord
 
 Block = tuple[str, tuple[Index, Index, Array], Array]
 """Cone, rows and columns and values of -A x, right-hand side: one matrix is made of all of them at once."""

@@ -24,8 +24,7 @@ from sampling_design.numerics.linalg import balance, generalised_max
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import short
+from sampling_design.records.record import Claim, short
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, in_terms
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate

@@ -24,8 +24,7 @@ from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
-from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.record import Plain
+from sampling_design.records.record import Plain, SolverRecord
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.members import INFLATED, InclusionPlants, layout_of
 from sampling_design.uncertain.inclusion.program import (

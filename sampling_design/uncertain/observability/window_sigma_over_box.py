@@ -39,8 +39,7 @@ from sampling_design.observability.windows.window_record import checked_pieces
 from sampling_design.observability.windows.window_sigma import left_of_sigma
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import above, below, short
+from sampling_design.records.record import Claim, above, below, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.balls import BallBox, BallCell
 from sampling_design.uncertain.box.branching import (

@@ -52,8 +52,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, below, short
+from sampling_design.records.record import Claim, Plain, below, short
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.balls import BallBox, CellMetric, largest_over

@@ -12,8 +12,7 @@ from sampling_design.observability.count.zero_count import SampleCount, samples_
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import Claim
-from sampling_design.records.record import short
+from sampling_design.records.record import Claim, short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
 from sampling_design.uncertain.box.model import UP, BoxCells, BoxModel, at_parameters, bases, signs
 from sampling_design.uncertain.observability.window_sigma_over_box import WindowsOverBox

@@ -28,9 +28,8 @@ from sampling_design.observability.alignment import align
 from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import above, below
 from sampling_design.records.signatures import open_verb
 from sampling_design.records.vector_bounds import VectorBound

@@ -23,8 +23,7 @@ from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import RequestedRows
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.record import (
     CurveRecord,
     Plain,

@@ -15,8 +15,7 @@ from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.linalg import discounted_flow, right_directions, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.records.vector_bounds import (
     Entry,
     VectorBound,

@@ -13,8 +13,7 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Readings
 from sampling_design.accuracy.record_program import DISPROVED, WHICH_BOUNDS, RecordProgram
 from sampling_design.errors import UndecidedError
-from sampling_design.records.arrays import Array, Index
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, freeze
 from sampling_design.records.record import PlainRecord, below, moment
 
 LARGEST = 1e100  # number of a plant in coordinates: its third powers are doubles

@@ -25,8 +25,7 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, freeze
 from sampling_design.records.record import Plain, PlainRecord, TableRecord, above, below, counted, moment
 from sampling_design.records.signatures import checked
 from sampling_design.records.vector_bounds import VectorBound

@@ -17,8 +17,7 @@ from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.functional import RequestedRows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import file_io
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import Plain, with_digest
 
 CLAIM = "interval"

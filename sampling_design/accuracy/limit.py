@@ -23,9 +23,8 @@ from sampling_design.plants.clusters import balanced_schur, fastest_rate
 from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, TableRecord, below, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule

@@ -21,8 +21,7 @@ from sampling_design.numerics.filtering import CovarianceMap, information_update
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plants.functional import requested_rows
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import PlainRecord, above, below, moment, short
 from sampling_design.records.signatures import checked
 

@@ -16,8 +16,7 @@ from sampling_design.accuracy.undetectable import DetectablePart, known_part, la
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, freeze
 from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

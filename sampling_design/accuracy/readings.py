@@ -24,8 +24,7 @@ from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 
 Arrived = tuple[float | tuple[float, float], object, npt.ArrayLike | None]
 

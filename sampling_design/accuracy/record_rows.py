@@ -20,8 +20,7 @@ from sampling_design.checkers.strict import is_list, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 
 LIMITS = {"<": "<", "≤": "<", ">": ">", "≥": ">"}  # signs before a limit of detection, and what they say
 

@@ -16,8 +16,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, freeze
 from sampling_design.records.record import PlainRecord, above, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.vector_bounds import VectorBound

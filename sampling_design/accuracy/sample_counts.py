@@ -14,9 +14,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows
 from sampling_design.plants.plant import Plant, remade
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column, above
 from sampling_design.records.record import PlainRecord, TableRecord, counted, short
 from sampling_design.records.signatures import checked

@@ -30,9 +30,8 @@ from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, admissible, physical
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import expm_batch, extrapolated
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 

@@ -20,9 +20,8 @@ from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, products
 from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import below, selected
 from sampling_design.records.record import Plain, Record, short
 

@@ -17,7 +17,7 @@ from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.plants.functional import Wanted, counted_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import selected
@@ -185,7 +185,7 @@ def sample_losses(
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
     bound = np.maximum(_bounds(design, periods, every_period, given, rng), lower)  # it may round to just below a proof
-    lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
+    lower, upper, bound = (freeze(a) for a in (lower, upper, bound))
     judged = design if given.left >= design.seconds else replace(design, seconds=given.left)
     times, left = design.schedule.times, judged.deviations
     unit, coordinates = design.schedule.time_unit, design.coordinates

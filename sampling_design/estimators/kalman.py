@@ -43,8 +43,7 @@ from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.declarations import below
 from sampling_design.records.vector_bounds import VectorBound
 

@@ -22,9 +22,8 @@ from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Progress
-from sampling_design.records.checks import freeze
 
 UNSURE = "Every sample so far may be an outlier."
 

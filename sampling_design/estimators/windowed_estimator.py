@@ -52,8 +52,7 @@ from sampling_design.estimators.window.window_problem import (
 )
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 
 LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 

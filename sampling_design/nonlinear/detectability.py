@@ -19,7 +19,7 @@ from sampling_design.nonlinear.tightest_pairs import PairOutcome, SampledTraject
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
 from sampling_design.numerics.linalg import quadratic
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import Claim, YesOrNo, short
@@ -258,7 +258,7 @@ class DetectabilityStudy:
         unit = self.plant.time_unit
         statement = f"(16) along {len(found)} random pairs of length {short(self.duration)} {unit}"
         claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
-        values = checks.freeze([looked.ratio for looked, _ in found])
+        values = freeze([looked.ratio for looked, _ in found])
         growth, when = max([(1.0, 0.0), *((looked.lam, looked.lam_time) for looked, _ in found)])  # at t = 0 it is 1
         return DetectabilityEvidence(
             ratio=least.ratio,

@@ -22,7 +22,7 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.report import PatientRun, ThyroidReport
 from sampling_design.nonlinear.simulation import Integrator, simulate
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.file_io import from_json, read_text, write_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered
@@ -94,7 +94,7 @@ def patient_run(
     steps = _grid_steps(days)
     plant, scheme, loop = _tools(case, checks.whole("degree", degree, 1))
     rng = np.random.default_rng([checks.whole("seed", seed), checks.whole("run", run)])
-    times = checks.freeze(STEP * np.arange(steps + 1))
+    times = freeze(STEP * np.arange(steps + 1))
     w = rng.uniform(-1.0, 1.0, (times.size, 2)) * model.PROCESS_BOUND
     v = rng.uniform(-1.0, 1.0, (times.size, 3)) * model.NOISE_BOUND
     sampled = np.zeros(times.size, dtype=bool)

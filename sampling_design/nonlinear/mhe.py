@@ -29,8 +29,7 @@ from sampling_design.nonlinear.window_forms import WindowData, WindowSolution
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.vector_bounds import VectorBound, vector_bound
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 

@@ -19,8 +19,7 @@ from sampling_design.nonlinear.inclusion_bound import UNCOVERED, InclusionBound
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.simulation import CovarianceIntegrator, Integrator, unknown
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 
 NOTE = "No radius: no certificate was given."
 GUESS_TOLERANCE = 1e-4  # of the integrator where a solver only starts from what it finds, in scaled states

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from sampling_design.checkers.half_spaces import holds_a_point
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.declarations import Converted, above, below, frozen, plain
 from sampling_design.records.record import Plain, Record
 
@@ -51,14 +51,14 @@ class StateRegion(Record):
         n = lower.size
         rows = checks.matrix("rows", np.zeros((0, n)) if self.rows is None else self.rows, None, n)
         offsets = checks.vector("offsets", () if self.offsets is None else self.offsets, len(rows))
-        self._hold(lower=checks.freeze(lower), upper=checks.freeze(upper), rows=rows, offsets=offsets)
+        self._hold(lower=freeze(lower), upper=freeze(upper), rows=rows, offsets=offsets)
         if not (some := holds_a_point(lower, upper, rows, offsets)):
             empty, many = "hold a state: none is in its box and its half-spaces", "have fewer half-spaces to be judged"
             raise ArgumentError(f"`rows` and `offsets` of a region must {many if some is None else empty}.")
         about = self.middle if self.about is None else checks.vector("about", self.about, n)
         if not (np.all(lower <= about) and np.all(about <= upper)):
             raise ArgumentError("`about` must lie between `lower` and `upper` of the region.")
-        self._hold(about=checks.freeze(about))
+        self._hold(about=freeze(about))
 
     def holds(self, x: npt.ArrayLike) -> Mask:
         """Whether states (..., n) lie in the region."""

@@ -11,8 +11,7 @@ from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.nonlinear.window_covariances import smoothed_covariances
 from sampling_design.nonlinear.window_forms import WindowData
 from sampling_design.nonlinear.window_search import WindowAnswer
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.declarations import Column
 from sampling_design.records.record import CurveRecord, TableRecord, Variable, moment, short
 

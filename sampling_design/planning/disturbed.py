@@ -21,9 +21,8 @@ from sampling_design.planning.sequence_deviation import (
     sequence_from_start,
 )
 from sampling_design.planning.sequence_system import plan_system, sequence_system
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import freeze
 from sampling_design.schedules.opening import PlanClock
 
 LONGER = 2  # how often the time that a plan takes to settle is doubled, at most, until its start is forgotten

@@ -37,7 +37,7 @@ from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.functional import is_about
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import freeze
 from sampling_design.records.file_io import from_json, read_text, usable
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import schedule_from_dict

@@ -14,8 +14,7 @@ from sampling_design.planning.requirement import KINDS, PlanRequirement
 from sampling_design.plants.functional import requested_rows
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.records.dates import zoned_text
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, spoken, time_factor

@@ -28,9 +28,8 @@ from sampling_design.planning.filter_deviation import own
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, deviation_of, reached, without_limits
 from sampling_design.planning.problem import SAME_PRICE, WHOLE, PlanProblem, pose_plan
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import above, short
 from sampling_design.records.units import SECONDS, time_factor
 

@@ -27,8 +27,7 @@ from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.search_progress import GAINS, SYSTEM
 from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, phase_of
-from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.units import spoken
 
 UNKNOWN = 1e6

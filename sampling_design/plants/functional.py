@@ -20,8 +20,7 @@ from sampling_design.numerics.linalg import balance
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, freeze
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, counted, short
 

@@ -22,8 +22,7 @@ from sampling_design.plants.clusters import (
 )
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Complex
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Complex, freeze
 from sampling_design.records.record import PlainRecord, TableRecord, counted, short
 from sampling_design.records.signatures import checked
 

@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.modes import OFFSET
 from sampling_design.plants.plant import ORDER, Plant, Signals
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
@@ -392,7 +392,7 @@ def _record(
         disturbances=plant.disturbances,
     )  # fmt: skip
     return SparseSplit(
-        plant=plant, decay_rate=decay_rate, retained=retained, basis=checks.freeze(basis), left=checks.freeze(left),
-        eigenvalues=checks.freeze(values), line=float(line), proof=proof, perturbation=float(lost),
+        plant=plant, decay_rate=decay_rate, retained=retained, basis=freeze(basis), left=freeze(left),
+        eigenvalues=freeze(values), line=float(line), proof=proof, perturbation=float(lost),
         clearance=float(np.min(values, initial=np.inf) - line),
     )  # fmt: skip

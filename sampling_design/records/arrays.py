@@ -1,4 +1,4 @@
-"""Arrays by the numbers that they hold, as annotations name them everywhere."""
+"""Arrays by the numbers that they hold, as annotations name them everywhere; and those that nobody changes."""
 
 from __future__ import annotations
 
@@ -11,3 +11,10 @@ Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
 """What numpy indexes with, as `argsort` and `flatnonzero` return it."""
 Integers = npt.NDArray[np.int_]
+
+
+def freeze(array: object) -> Array:
+    """Return an owned, C-ordered, read-only float64 copy."""
+    copy = np.array(array, dtype=np.float64, order="C")
+    copy.flags.writeable = False
+    return copy

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sampling_design.checkers import strict
 from sampling_design.checkers.strict import is_flag, is_list, is_number, is_text, is_whole, likely
 from sampling_design.errors import ArgumentError
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 
 Instance = TypeVar("Instance")
 Seed: TypeAlias = np.random.Generator | int | None
@@ -85,13 +85,6 @@ def unmet_protocol(kind: object) -> Callable[[object], str]:
         return next((f" Its `{key}` does not take ({', '.join(methods[key])})." for key in wrong), "")
 
     return unmet
-
-
-def freeze(array: object) -> Array:
-    """Return an owned, C-ordered, read-only float64 copy."""
-    copy = np.array(array, dtype=np.float64, order="C")
-    copy.flags.writeable = False
-    return copy
 
 
 def real_array(name: str, value: object, ndim: int) -> Array:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import is_number, is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 
 Entry: TypeAlias = float | tuple[float, float]
 VectorBound: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | None
@@ -45,14 +45,14 @@ def vector_bound(argument: str, value: VectorBound, names: tuple[str, ...]) -> A
         if np.isinf(half).any():
             lost = [name for name, size in zip(names, half, strict=True) if np.isinf(size)]
             raise ArgumentError(f"`{argument}` is missing for {', '.join(lost)}: give a number, 0 for none.")
-        return checks.freeze(half)
+        return freeze(half)
     if checks.dimensions(value) == 0:
         number = squarable(argument, checks.nonnegative(argument, value))
-        return checks.freeze(number.reshape(1)) if len(names) == 1 else number
+        return freeze(number.reshape(1)) if len(names) == 1 else number
     entries = checks.vector(argument, value, len(names))
     if np.any(entries < 0):
         raise ArgumentError(f"`{argument}` must not be negative, got {float(entries.min())!r}.")
-    return checks.freeze(squarable(argument, entries))
+    return freeze(squarable(argument, entries))
 
 
 def named_bounds(argument: str, value: Mapping[str, object], names: tuple[str, ...]) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import ListRecord, Plain, counted, moment, short
@@ -268,7 +268,7 @@ class PeriodicSchedule(_ListWithDetails):
         if first > period + gaps.size * np.spacing(period):
             raise ArgumentError(f"`first` must lie in [0, period] = [0, {period!r}], got {first!r}.")
         first = min(first, period)  # gaps in another unit add up to a little less than the period in it
-        times = checks.freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
+        times = freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
         if np.any(np.diff(times, append=times[0] + period) <= 0):
             raise ArgumentError(
                 f"`gaps` must be told apart from zero beside the period {period!r} in double precision, "

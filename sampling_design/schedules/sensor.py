@@ -29,7 +29,7 @@ from sampling_design.checkers.strict import (
 )
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.dates import parse_date
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import by_first, by_kind, csv_rows, read_text
@@ -267,7 +267,7 @@ def spans_in_words(value: Array | Dates | None, empty: str) -> str:
 def intervals(name: str, value: object) -> Array:
     """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
     if not checks.floats(name, value).size:
-        return checks.freeze(np.zeros((0, 2)))
+        return freeze(np.zeros((0, 2)))
     array = checks.matrix(name, value, None, 2)
     if np.any(array < 0):
         raise ArgumentError(f"`{name}` must not be negative, got {float(array.min())!r}.")
@@ -278,7 +278,7 @@ def intervals(name: str, value: object) -> Array:
             f"`{name}` must hold intervals [start, stop) with start < stop, got [{float(a)!r}, {float(b)!r}]. "
             "An interval over the end of the period is written as two."
         )
-    return checks.freeze(joined(array))
+    return freeze(joined(array))
 
 
 def common(first: Array | None, second: Array | None) -> Array | None:

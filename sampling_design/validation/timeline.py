@@ -14,7 +14,7 @@ from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -129,7 +129,7 @@ def build_timeline(
     F, gamma = exact_flow(plant, np.diff(breaks), plant.G)
     return Timeline(
         plant=plant,
-        times=checks.freeze(breaks),
+        times=freeze(breaks),
         F=F,
         gamma=gamma,
         samples=np.searchsorted(breaks, times),

@@ -5,11 +5,12 @@ import pytest
 
 from sampling_design import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import freeze
 
 
 def test_freeze_owns_and_locks():
     mine = np.ones(3)
-    frozen = checks.freeze(mine)
+    frozen = freeze(mine)
     mine[0] = 7.0
     assert frozen[0] == 1.0
     assert not frozen.flags.writeable

@@ -14,7 +14,7 @@ from sampling_design.certificates.exact.given_weights import certifiable_schedul
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import TableRecord, above, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
@@ -136,7 +136,7 @@ def tradeoff_curve(
     certificates = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
     horizons = [made.horizon() for made in certificates]
     return TradeoffCurve(
-        steps, checks.freeze([h.minimum for h in horizons]), checks.freeze([h.C_w for h in horizons]),
-        checks.freeze([h.C_v for h in horizons]), checks.freeze([made.lam for made in certificates]),
+        steps, freeze([h.minimum for h in horizons]), freeze([h.C_w for h in horizons]),
+        freeze([h.C_v for h in horizons]), freeze([made.lam for made in certificates]),
         tuple(certificates),
     )  # fmt: skip

@@ -31,7 +31,7 @@ from sampling_design.numerics.linalg import generalised_max
 from sampling_design.observability.alignment import align
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import Claim, Plain, SolverRecord, above, below, moment, with_digest
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.sampling_set import ROUNDING
@@ -185,7 +185,7 @@ class SampledCertificate(VerifiableRecord, ABC):
     @cached_property
     def Rtilde(self) -> Array:
         """R~ = (R^-1 + Qv^-1)^-1, the information of one sample."""
-        return checks.freeze(output_information(self.R, self.Qv))
+        return freeze(output_information(self.R, self.Qv))
 
     def horizon(self, theorem: str = "improved", length: float | None = None) -> Horizon:
         """Return a horizon and its error bound, by the improved theorem or by Thm 9 of the paper.

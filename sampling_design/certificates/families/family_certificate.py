@@ -11,7 +11,7 @@ from sampling_design.certificates.families.graphs import PathCompleteGraph, fami
 from sampling_design.certificates.form.claims import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import Claim, below
 from sampling_design.schedules.family import SamplingFamily
 
@@ -50,7 +50,7 @@ class FamilyCertificate(SampledCertificate):
         P = checks.floats("P", self.P)
         if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
             raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")
-        object.__setattr__(self, "P", checks.freeze(P))
+        object.__setattr__(self, "P", freeze(P))
 
     @property
     def covers(self) -> SamplingFamily:

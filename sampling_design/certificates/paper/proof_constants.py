@@ -22,7 +22,7 @@ from sampling_design.observability.windows.window_sigma import deviations_of
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import Claim, PlainRecord, SolverRecord, above, below
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
@@ -348,8 +348,8 @@ def _record(
     detectability: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
-    R = checks.freeze(2 * proven.R0 * np.eye(plant.n_outputs))
-    frozen = {key: checks.freeze(getattr(proven, key)) for key in ("P1", "P2", "Qw")}
+    R = freeze(2 * proven.R0 * np.eye(plant.n_outputs))
+    frozen = {key: freeze(getattr(proven, key)) for key in ("P1", "P2", "Qw")}
     return ProofConstants(
         plant=plant, schedule=schedule, variant=variant, **frozen, R=R, Qv=R, eta=proven.eta,
         constants=ConstantList((*proven.constants, *theorem_9(proven))), detectability=detectability, split=split,

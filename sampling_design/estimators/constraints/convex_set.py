@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.records.record import Record
 
 EMPTY_MARGIN = 1e-9
@@ -128,7 +128,7 @@ class ConvexSet(Record):
             raise ArgumentError("`dimension` must be given for a ball without `centre` and `shape`.")
         else:
             k = checks.floats("centre", centre).size if dimension is None else checks.whole("dimension", dimension, 1)
-            E = checks.freeze(np.eye(k))
+            E = freeze(np.eye(k))
         middle = checks.vector("centre", np.zeros(k) if centre is None else centre, k)
         whole = np.full(k, np.inf)
         return cls(-whole, whole, None, None, (NormBall(size, middle, E),))  # type: ignore[arg-type]

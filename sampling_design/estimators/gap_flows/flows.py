@@ -14,8 +14,7 @@ from scipy.linalg import lapack
 from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow, FlowParts
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.numerics.filtering import propagate
-from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 
 CONDITION_LIMIT = 1e6
 """W_h is inverted only while its correlation matrix's inverse has a trace below this: six digits lost of sixteen."""

@@ -14,8 +14,7 @@ from sampling_design.estimators.online.state_tube import StateTube, joined
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.record import Record, counted, short
 from sampling_design.records.signatures import checked
 

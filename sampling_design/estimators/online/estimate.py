@@ -16,8 +16,7 @@ from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.numerics.filtering import inverse_root
 from sampling_design.plants.functional import Wanted
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.declarations import above, below, plain
 from sampling_design.records.record import Plain, PlainRecord, moment, short
 

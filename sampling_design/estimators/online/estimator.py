@@ -18,8 +18,7 @@ from sampling_design.estimators.online.estimate import FAILURES, MOVED, Contradi
 from sampling_design.estimators.records.measurement_table import MeasuredPlant, dates_of, time_or_date
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.declarations import Column, above
 from sampling_design.records.record import CurveRecord, ListRecord, PlainRecord, Variable, counted
 

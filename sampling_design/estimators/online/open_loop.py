@@ -30,8 +30,7 @@ from sampling_design.estimators.online.verdict import (
 )
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
-from sampling_design.records.arrays import Array
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.vector_bounds import VectorBound, refuse_apart, vector_bound
 
 

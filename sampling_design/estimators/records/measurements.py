@@ -21,8 +21,7 @@ from sampling_design.estimators.records.frames import DataFrame, Dataset, LazyFr
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
-from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import freeze
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.records.dates import date_in, parse_date, passed, zoned_text
 from sampling_design.records.declarations import Column
 from sampling_design.records.file_io import SINCE, STAMPS, UNTIL

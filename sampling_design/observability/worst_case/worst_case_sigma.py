@@ -25,7 +25,7 @@ from sampling_design.plants.clusters import balanced_schur
 from sampling_design.plants.functional import Wanted, rows_counted, wider_beside
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
@@ -467,11 +467,11 @@ def _record(
     s = np.linspace(0.0, family.window + late.span, _PICTURE)
     seen, at = (plant.C @ plant.transition(t) @ x for t in (s, when))
     at_samples = np.linalg.norm(at if mask is None else at * mask, axis=1)
-    frozen = [checks.freeze(a) for a in (s, np.linalg.norm(seen, axis=1), when, at_samples)]
+    frozen = [freeze(a) for a in (s, np.linalg.norm(seen, axis=1), when, at_samples)]
     record = WorstCaseSigma(
-        lower=lower, upper=upper, witness=checks.freeze(planned + max(late.early)),
-        direction=checks.freeze(x), status=status, method=method, cells=proof.cells, family=family, rtol=rtol,
+        lower=lower, upper=upper, witness=freeze(planned + max(late.early)),
+        direction=freeze(x), status=status, method=method, cells=proof.cells, family=family, rtol=rtol,
         profile=WorstCaseProfile(*frozen), time_unit=plant.time_unit, late=late,
-        readings=None if readings is None else checks.freeze(readings),
+        readings=None if readings is None else freeze(readings),
     )  # fmt: skip
     return record, shares

@@ -15,9 +15,8 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import align
 from sampling_design.plants.functional import RequestedRows, Wanted, requested_rows, row_arguments
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Index, Mask, freeze
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import Claim, above, below, short
 from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.schedules.schedule import Schedule

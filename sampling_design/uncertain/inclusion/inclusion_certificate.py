@@ -16,7 +16,7 @@ from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import Claim, Plain, above, below
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.files import family_from_dict
@@ -96,7 +96,7 @@ class InclusionCertificate(SampledCertificate):
         if self.model is not None and not self.model_data:
             self._hold(model_data=self.model.model_to_dict())
         P = np.array([checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
-        self._hold(nodes=checks.freeze(nodes), P=checks.freeze(P))
+        self._hold(nodes=freeze(nodes), P=freeze(P))
 
     @property
     def covers(self) -> Schedules:

@@ -23,7 +23,7 @@ from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import balance, generalised_max
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.record import Claim, short
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, in_terms
@@ -243,11 +243,11 @@ def theorem_5(
     matrices = {"P1": found.P1, "P2": P2 * W, "Qw": Qw * found.Qw, "R": 2 * R0 * found.Rtilde}
     top = float(np.linalg.eigvalsh(R0 * found.Rtilde)[-1])
     proven = ProvenWeights(matrices["P1"], matrices["P2"], matrices["Qw"], top, eta, ConstantList(steps))
-    weights = {key: checks.freeze(value) for key, value in matrices.items()}
+    weights = {key: freeze(value) for key, value in matrices.items()}
     family = GapRange(found.min_gap, b, time_unit=found.plant.time_unit)
     return InclusionConstants(
         plant=found.plant, family=family, variant="inclusion", **weights, Qv=weights["R"], eta=eta,
-        constants=ConstantList((*steps, *theorem_9(proven))), metric=checks.freeze(W), inclusion=found,
+        constants=ConstantList((*steps, *theorem_9(proven))), metric=freeze(W), inclusion=found,
     )  # fmt: skip
 
 

@@ -16,9 +16,8 @@ from sampling_design.estimators.estimate_file import TOGETHER
 from sampling_design.estimators.gap_flows.cost_weights import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimate import Contradiction, Estimate
+from sampling_design.estimators.online.estimate import Contradiction, Estimate, StateTube
 from sampling_design.estimators.online.evidence import output_of
-from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant

@@ -19,7 +19,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import plain
 from sampling_design.records.record import Plain, short
-from sampling_design.uncertain.plants.inclusion import InclusionMembers, MemberHull
+from sampling_design.uncertain.plants.uncertain_plant import InclusionMembers, MemberHull
 
 if TYPE_CHECKING:
     from casadi import SX, Function

@@ -14,7 +14,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked
-from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
+from sampling_design.uncertain.plants.uncertain_plant import InclusionMembers, LinearInclusion, MemberHull
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,8 +8,7 @@ import numpy as np
 
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_covariances import smoothed_covariances
-from sampling_design.nonlinear.window_forms import WindowData
+from sampling_design.nonlinear.window_forms import WindowData, smoothed_covariances
 from sampling_design.nonlinear.window_search import WindowAnswer
 from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.declarations import Column

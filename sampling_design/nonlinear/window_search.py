@@ -12,8 +12,14 @@ from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_covariances import WindowCovariances, window_covariances
-from sampling_design.nonlinear.window_forms import ProgramPoint, WindowData, WindowSlopes, WindowSolution
+from sampling_design.nonlinear.window_forms import (
+    ProgramPoint,
+    WindowCovariances,
+    WindowData,
+    WindowSlopes,
+    WindowSolution,
+    window_covariances,
+)
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import processor_seconds
 

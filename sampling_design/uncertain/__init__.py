@@ -8,10 +8,9 @@ _NAMES = {
     "inclusion.certify_inclusion": ("certify_inclusion", "longest_gap"),
     "inclusion.inclusion_certificate": ("InclusionCertificate",),
     "nominal_filter": ("NominalFilter",),
-    "plants.inclusion": ("LinearInclusion",),
     "plants.plant_files": ("UncertainParameter",),
     "plants.time_varying": ("TimeVaryingPlant",),
-    "plants.uncertain_plant": ("UncertainPlant",),
+    "plants.uncertain_plant": ("LinearInclusion", "UncertainPlant"),
 }
 __getattr__, __dir__, __all__ = lazy(
     __name__, _NAMES, modules=("accuracy", "box", "existence", "inclusion", "observability", "plants")
@@ -26,8 +25,8 @@ _REGISTERED = {
     ("certificate_exists", _BOX): "existence.existence_over_box:existence_over_box",
     ("guaranteed_accuracy", _BOX): "accuracy.accuracy_over_box:accuracy_over_box",
     ("guaranteed_accuracy", _VARYING): "accuracy.accuracy_varying:accuracy_along",
-    ("certify", f"{__name__}.plants.inclusion.LinearInclusion"): "inclusion.certify_inclusion:certify_plant",
-    ("constants_from_proof", f"{__name__}.plants.inclusion.LinearInclusion"): (
+    ("certify", f"{__name__}.plants.uncertain_plant.LinearInclusion"): "inclusion.certify_inclusion:certify_plant",
+    ("constants_from_proof", f"{__name__}.plants.uncertain_plant.LinearInclusion"): (
         "inclusion.proof_constants:constants_over_inclusion"
     ),
     ("read_certificate", "inclusion"): "inclusion.inclusion_certificate:read_inclusion",

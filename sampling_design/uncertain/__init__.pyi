@@ -10,7 +10,7 @@ from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclus
 from sampling_design.uncertain.inclusion.certify_inclusion import longest_gap as longest_gap
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate as InclusionCertificate
 from sampling_design.uncertain.nominal_filter import NominalFilter as NominalFilter
-from sampling_design.uncertain.plants.inclusion import LinearInclusion as LinearInclusion
 from sampling_design.uncertain.plants.plant_files import UncertainParameter as UncertainParameter
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant as TimeVaryingPlant
+from sampling_design.uncertain.plants.uncertain_plant import LinearInclusion as LinearInclusion
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant as UncertainPlant

@@ -9,8 +9,7 @@ import pytest
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.evidence import BoundPart, zone_part
 from sampling_design.design.bounds.zones import tightened
-from sampling_design.design.problem.choices import affordable_choices
-from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem, affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.search.costs import affordable
 from sampling_design.design.search.local_search import FoundSchedule

@@ -9,8 +9,7 @@ from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.orthogonal_flow import UNSURE
 from sampling_design.design.problem.positions import _worst_of_positions, worst_sigma2
 from sampling_design.design.search import smooth
-from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible
-from sampling_design.design.search.refine import refined
+from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible, refined
 from sampling_design.design.search.rotations import exchanged_hours
 from sampling_design.design.search.smooth import smoothed
 from sampling_design.records.budget import Budget

@@ -14,9 +14,15 @@ from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import local_search
-from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible, packed, repaired, shares_of
+from sampling_design.design.search.fedorov_exchange import (
+    at_shares,
+    is_admissible,
+    packed,
+    refined,
+    repaired,
+    shares_of,
+)
 from sampling_design.design.search.local_search import _kick, _ranked, _Refinement, search
-from sampling_design.design.search.refine import refined
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.budget import ENDLESS
 from tests.cases import few

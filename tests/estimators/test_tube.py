@@ -5,7 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.estimators.online.curve import CurveCollector
-from sampling_design.estimators.online.state_tube import joined
+from sampling_design.estimators.online.estimate import joined
 from tests.cases import few
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])

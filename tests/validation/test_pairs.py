@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.validation.pairs import sides, worst_pair
 from sampling_design.validation.scenario import ErrorSources
+from sampling_design.validation.study import sides, worst_pair
 from sampling_design.validation.timeline import build_timeline
 from tests.cases import few
 from tests.oracles.validation import step

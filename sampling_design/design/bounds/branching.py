@@ -19,8 +19,7 @@ from sampling_design.design.bounds.evidence import BoundPart, UpperBound, chosen
 from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
 from sampling_design.design.bounds.zones import Side, flow_of, halves, regions, sides, tightened, zoned
-from sampling_design.design.problem.choices import affordable_choices
-from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem, affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.interrupt import DesignInterrupt
 from sampling_design.records.arrays import Array

@@ -36,8 +36,7 @@ from sampling_design.design.bounds.zones import (
     zoned,
 )
 from sampling_design.design.problem.canonical import CanonicalDesign
-from sampling_design.design.problem.choices import affordable_choices
-from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem, affordable_choices
 from sampling_design.design.problem.feasible import changed, without_hours
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.numerics.linalg import expm_batch, psd_root, symmetrise

@@ -17,13 +17,11 @@ from sampling_design.design.bounds.relaxation import (
     solve_program,
     unsolved,
 )
-from sampling_design.design.problem.choices import affordable_choices
-from sampling_design.design.problem.design_problem import SLACK, DesignProblem
+from sampling_design.design.problem.design_problem import SLACK, DesignProblem, affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.positions import worst_sigma2
-from sampling_design.design.search.fedorov_exchange import at_shares, even, is_admissible, rounded
+from sampling_design.design.search.fedorov_exchange import at_shares, even, is_admissible, refined, rounded
 from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, FoundSchedule, SearchTrial
-from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.numerics.eigenvalue_program import MixedMatrices
 from sampling_design.records.arrays import Array, Mask

@@ -19,11 +19,11 @@ from sampling_design.design.search.fedorov_exchange import (
     exchanged,
     is_admissible,
     packed,
+    refined,
     rounded,
     shares_of,
 )
 from sampling_design.design.search.heat_bath import annealed
-from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours, rotated
 from sampling_design.design.search.smooth import smoothed
 from sampling_design.errors import SolverError

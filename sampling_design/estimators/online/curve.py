@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimate import Estimate, StateTube, joined
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.state_tube import StateTube, joined
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks

@@ -12,9 +12,8 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.interval import Interval, prove
 from sampling_design.accuracy.readings import Readings, RowReading, censored_rows
 from sampling_design.accuracy.record_program import RecordProgram
-from sampling_design.estimators.online.estimate import Contradiction
+from sampling_design.estimators.online.estimate import Contradiction, StateTube, open_tube
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
-from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.numerics.filtering import correlation_root
 from sampling_design.plants.functional import Wanted, requested_rows
 from sampling_design.plants.plant import Plant

@@ -29,7 +29,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.members import Schedules, graph_for, layout_of
 from sampling_design.uncertain.inclusion.search import InclusionSearch
-from sampling_design.uncertain.plants.inclusion import LinearInclusion
+from sampling_design.uncertain.plants.uncertain_plant import LinearInclusion
 
 PIECES = (8, 16, 32)  # pieces of P(tau) that are tried one after the other where a number is not given
 ENOUGH = 0.05  # share by which twice as many pieces must shorten the horizon for the next number to be tried

@@ -23,9 +23,8 @@ from sampling_design.schedules.files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.members import Schedules, graph_for
-from sampling_design.uncertain.plants.inclusion import LinearInclusion
 from sampling_design.uncertain.plants.plant_files import parts_of_model
-from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+from sampling_design.uncertain.plants.uncertain_plant import LinearInclusion, UncertainPlant
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -30,7 +30,7 @@ from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.program import InclusionData, InclusionProgram
-from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
+from sampling_design.uncertain.plants.uncertain_plant import InclusionMembers, LinearInclusion, MemberHull
 
 Schedules = SamplingFamily | PeriodicSchedule
 

@@ -28,7 +28,7 @@ from sampling_design.records.record import Claim, short
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, in_terms
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.uncertain.plants.inclusion import LinearInclusion, MemberHull
+from sampling_design.uncertain.plants.uncertain_plant import LinearInclusion, MemberHull
 
 EXCESS = (0.3, 0.6, 1.2, 2.4)
 """Rates that are tried, per longest gap, beyond what differences grow at backwards in time."""

@@ -2,7 +2,7 @@
 
 from sampling_design.design.bounds import branching
 from sampling_design.design.design import BRANCHES, GAP, PATIENCE
-from sampling_design.design.problem.choices import MOST_CHOICES
+from sampling_design.design.problem.design_problem import MOST_CHOICES
 from sampling_design.design.sizes import MOST_GROWTH
 from tests.docs.figures import Figure
 from tests.laws import test_opening_hours_cost_no_design_its_sigma as hours

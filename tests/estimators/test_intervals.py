@@ -143,7 +143,7 @@ def test_a_mean_over_a_day_is_a_row_of_its_own():
     rows = [(2.0, (RowReading(tank.C[0], 1.0, 0.1, since=0.0),)), (6.0, (RowReading(tank.C[0], 5.0, 0.1, since=4.0),))]
     readings = Readings.unread(tank, still, BoundedSet.of("initial_error", None, tank.states.names), 0.0).reading(rows)
     assert readings.times.tolist() == [0.0, 2.0, 4.0, 6.0]
-    found = prove(RecordProgram(readings), 6.0, sd.plants.rows.requested_rows(tank))
+    found = prove(RecordProgram(readings), 6.0, sd.plants.functional.requested_rows(tank))
     # x(1) = 1 +- .1 and x(5) = 5 +- .1: slope 1 +- .05, x(6) = 6 +- .15
     assert found.centre == pytest.approx([6.0, 1.0], abs=1e-6)
     assert found.radii == pytest.approx([0.15, 0.05], abs=1e-6)

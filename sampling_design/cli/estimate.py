@@ -27,12 +27,11 @@ from sampling_design.estimators.estimate_file import (
     EstimateTable,
     check_radii,
     estimates_along,
-    usual_radii,
 )
 from sampling_design.estimators.online.curve import CurveCollector, EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateCounts
-from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
+from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS, few_intervals
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.planning.plan_record import Plan
@@ -185,7 +184,7 @@ def followed(
 def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.Measurements) -> str:
     """The kind of radii where none was asked for, with a notice where it is the wider one."""
     n = estimator.plant.n_states
-    kind = usual_radii(len(record), n)
+    kind = "centred" if few_intervals(len(record), n) else "ellipsoids"
     if kind == "ellipsoids" and not estimator.bounds.note:
         settings.notice(
             f"--radii not given: of {len(record)} rows and {n} states the radii are those of ellipsoids; --radii "

@@ -19,7 +19,7 @@ import numpy as np
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateCounts, EstimateRecord
-from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator, few_intervals
+from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator
 from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import Measurements, cell_of
 from sampling_design.plants.plant import Plant
@@ -226,11 +226,6 @@ def _listed(columns: list[list[str]]) -> list[str]:
     """The rows of a table of texts as lists."""
     known = [[text or "null" for text in column] for column in columns]
     return ["[\n      " + ",\n      ".join(row) + "\n    ]" for row in zip(*known, strict=True)]
-
-
-def usual_radii(rows: int, states: int) -> str:
-    """Return the kind of radii where none is asked for: those of intervals about their middle, if these take little."""
-    return "centred" if few_intervals(rows, states) else "ellipsoids"
 
 
 def estimates_along(

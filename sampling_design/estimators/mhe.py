@@ -31,7 +31,7 @@ from sampling_design.estimators.online.verdict import (
     too_large,
 )
 from sampling_design.estimators.window.smoother import smooth
-from sampling_design.estimators.window.window_problem import EstimationWindow, WindowEstimate
+from sampling_design.estimators.window.window_problem import EstimationWindow, WindowEstimate, means_of
 from sampling_design.estimators.windowed_estimator import WindowedEstimator
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.functional import RowArguments
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 CLOSED_FORM = ("banded", "square root")  # engines that say that no constraint was active
 
+LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 OVERFLOWN = "What the window holds grows beyond double precision: open loop instead."
 
 
@@ -279,11 +280,15 @@ class MovingHorizonEstimator(WindowedEstimator):
             if window.means is not None:
                 terms += rounding_energy(self.weights, window.means.y, window.reference)
             solution = self._solve(window)
-            engine, note = solution.engine, solution.note or self._left_out(sample, start)
+            engine, note = solution.engine, solution.note
+            if not note and any(since < start.s for _, since, _ in means_of(sample)):
+                note = LEFT_OUT
             x, Y = solution.nodes[-1].copy(), solution.covariance
             status, sound, own = solution.status, last.stands, last.contradiction
             if status == "ok":
-                terms += self._noise_energy(window, solution)
+                # without an active constraint the cost is the one without v; else the truth has a v of its own
+                kept = self.bounds.of_samples if solution.engine in CLOSED_FORM else self._kept_energy
+                terms += window.total(kept(window.masks))
                 beta, status, sound, own = self._judged(state, new, terms, solution.dual, solution.held)
                 cost = solution.cost
                 if status == "bounds disproved" and last.stands:
@@ -336,15 +341,6 @@ class MovingHorizonEstimator(WindowedEstimator):
         """By how much a window costs more than the bounds allow."""
         solution = self._solve(window)
         return solution.dual - terms if solution.status == "ok" else np.inf
-
-    def _noise_energy(self, window: EstimationWindow, solution: WindowEstimate) -> float:
-        """Sum of the discounted noise bounds of the window's samples.
-
-        Where no constraint was active, the cost is the one without v; else the truth must be held with a v of its own.
-        """
-        free = solution.engine in CLOSED_FORM
-        energies = self.bounds.of_samples(window.masks) if free else self._kept_energy(window.masks)
-        return window.total(energies)
 
     def _kept_energy(self, masks: Array) -> Array:
         """Return a bound on the cost of the true noise at samples where v is constrained.

@@ -27,7 +27,6 @@ from sampling_design.estimators.online.history import (
     HistoryNode,
     IncomingNode,
     InputHistory,
-    StateBox,
     WindowStart,
 )
 from sampling_design.estimators.online.in_order import OnlineEstimator
@@ -53,8 +52,6 @@ from sampling_design.estimators.window.window_problem import (
 from sampling_design.numerics.filtering import covariance_root
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, freeze
-
-LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 
 DRIFT = 4.0
 """Times what the truth may cost: up to there the cost of a reference does not show in the margin of the dual bound, so
@@ -184,7 +181,7 @@ class WindowedEstimator(OnlineEstimator):
         proven = censored_together(unread, rows, assumed.noise, self.before)
         if proven is None:
             return nodes
-        boxed = first._replace(box=StateBox(proven[0], until=last.t))
+        boxed = first._replace(box=proven[0], boxed_until=last.t)
         settled = EstimatorState((*nodes[:begun], boxed, *nodes[begun + 1 : at]), inputs)
         said = {row.t: censored for row, censored in zip(rows, proven[1], strict=True)}
         for node in nodes[at:]:
@@ -346,10 +343,6 @@ class WindowedEstimator(OnlineEstimator):
                 x, Y, _ = self.loop.propagated(last, flow, drift)
             verdict = judged(self.weights, terms, dual, last, held + in_units_of(Y, passed(last, flow, drift, x))[0])
         return verdict
-
-    def _left_out(self, sample: RecordRow, start: WindowStart) -> str:
-        """What is said of a mean that began before the window."""
-        return LEFT_OUT if any(since < start.s for _, since, _ in means_of(sample)) else ""
 
     def _mean_noise_energy(self, window: EstimationWindow, end: int | None = None) -> float:
         """A bound on what the noise of the means costs: of correlated outputs, together with the readings beside.

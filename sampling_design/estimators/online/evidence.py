@@ -179,7 +179,7 @@ class EstimateEvidence:
             root = correlation_root(Y, len(Y) * np.finfo(float).eps) if known else Y
             start = BoundedSet(first.x, root, ball=known, unbounded=not known)
         if start.unbounded and first.box is not None:
-            start = first.box.within
+            start = first.box
         rows: dict[float, tuple[RowReading, ...]] = {}
         for sample in self.samples:
             rows[sample.t] = (*rows.get(sample.t, ()), *self._rows(sample), *self.assumed.state)

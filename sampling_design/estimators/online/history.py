@@ -68,13 +68,6 @@ class SampleBranch:
         return branch._proven[1]
 
 
-class StateBox(NamedTuple):
-    """A box that holds the state, by samples until some time."""
-
-    within: BoundedSet
-    until: float
-
-
 class IncomingNode(NamedTuple):
     """A sample on its way in, as the equations take it: y with 0 where it is missing, the mask of 0 and 1, and D u.
 
@@ -104,7 +97,7 @@ class HistoryNode(NamedTuple):
     of a nonlinear estimator, `limited` when one last had limits or means; `held` is the square of x in units of what is
     known of it, with what is left of those before, for the rounding of what follows; `loose` is how far the gaps'
     information may be off; `box` holds the state where nothing else does, by readings of uncertain times that came
-    later; its own rest on samples `until` then.
+    later, on samples `boxed_until` then; its own rest on samples `until` then.
     """
 
     t: float
@@ -131,12 +124,9 @@ class HistoryNode(NamedTuple):
     loose: float = 0.0
     limited: float = -np.inf
     counted: float = np.nan
-    box: StateBox | None = None
+    box: BoundedSet | None = None
+    boxed_until: float = -np.inf
     until: float = -np.inf
-
-    def read_after(self, t: float) -> bool:
-        """Whether a reading of it may have been taken at t or later."""
-        return any(each.stamp is not None and each.stamp.last >= t for each in self.sample.censored)
 
     @property
     def waits(self) -> bool:
@@ -147,7 +137,7 @@ class HistoryNode(NamedTuple):
 
     def known_by(self, t: float) -> HistoryNode:
         """The same without a box that rests on samples at t or later."""
-        return self if self.box is None or self.box.until < t else self._replace(box=None)
+        return self if self.boxed_until < t else self._replace(box=None, boxed_until=-np.inf)
 
     @property
     def contradiction(self) -> Contradiction | None:
@@ -217,11 +207,6 @@ class InputHistory(Sequence[tuple[float, Array]]):
         """How many lie before t."""
         return bisect_left(self._log, t, self._start, self._end, key=_first) - self._start
 
-    def last_until(self, t: float) -> Array | None:
-        """The value in force at t, None before the first."""
-        at = bisect_right(self._log, t, self._start, self._end, key=_first)
-        return self._log[at - 1][1] if at > self._start else None
-
     def between(self, a: float, b: float) -> tuple[Array | None, list[tuple[float, Array]]]:
         """The value in force at a, None before the first, and what changes after a and before b."""
         log = self._log
@@ -278,10 +263,8 @@ class EstimatorState(NamedTuple):
 
     def input_at(self, t: float, before: bool = False) -> Array | None:
         """Return the input in force at t (just before t where `before`), None if there is none yet."""
-        if not before:
-            return self.inputs.last_until(t)
-        k = self.inputs.before(t) - 1
-        return self.inputs[k][1] if k >= 0 else None
+        count = self.inputs.before(t) if before else self.inputs.until(t)
+        return self.inputs[count - 1][1] if count else None
 
     def drift(self, table: FlowTable, a: float, b: float) -> Array:
         """Return int_a^b e^{A(b - s)} B u(s) ds, the inputs' part of a transition; u is zero before the first input."""

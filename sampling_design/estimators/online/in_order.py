@@ -424,7 +424,8 @@ class OnlineEstimator(Displayable, ABC):
 def _touched(state: EstimatorState, t: float) -> list[int]:
     """The nodes before t with readings that may have been taken at t or later."""
     nodes = state.nodes[: state.node_before(t) + 1] if np.isfinite(state.last.limited) else ()
-    return [k for k, node in enumerate(nodes) if node.read_after(t)]
+    stamps = ((k, each.stamp) for k, node in enumerate(nodes) for each in node.sample.censored)
+    return [k for k, stamp in stamps if stamp is not None and stamp.last >= t]
 
 
 def _resting(state: EstimatorState, t: float) -> list[int]:
@@ -432,9 +433,7 @@ def _resting(state: EstimatorState, t: float) -> list[int]:
     if not np.isfinite(state.last.limited):
         return []
     nodes = list(enumerate(state.nodes))
-    return [k for k, node in nodes if node.box is not None and node.box.until >= t] + [
-        k - 1 for k, node in nodes if node.until >= t
-    ]
+    return [k for k, node in nodes if node.boxed_until >= t] + [k - 1 for k, node in nodes if node.until >= t]
 
 
 def _stamp(item: object) -> float:

@@ -51,15 +51,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 Best = TypeVar("Best")
 
 STARTS = 8  # starts that are refined by default
-
-BRANCHES = 20
-"""Boxes of schedules that are cut in two by default, to narrow the upper bound: of eight states, fewer of more."""
-
+BRANCHES = 20  # boxes of schedules cut in two by default, to narrow the bound: of eight states, fewer of more
 PATIENCE = 150  # boxes that are cut by default where the gap is wide otherwise, as long as that helps
-
-GAP = 0.03
-"""Share of sigma by which the bound may lie above it where no number of cuts is asked for: cutting ends there."""
-
+GAP = 0.03  # share of sigma by which the bound may lie above it where no cuts are asked for: cutting ends there
 MOST_TRIED = 100  # largest count that a target sigma is tried with where the requirement names none
 _MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
 _PROOF = 0.2  # of the budget: what the proof of sigma may take at least, even where all is spent

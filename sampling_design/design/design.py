@@ -43,7 +43,6 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import above, below
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -70,7 +69,7 @@ def design_schedule(
     starts: int = STARTS,
     branches: int | None = None,
     rtol: float = 0.001,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> ScheduleDesign:

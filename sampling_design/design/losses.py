@@ -19,7 +19,6 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, TableRecord, above, below, moment
 from sampling_design.records.signatures import checked
@@ -126,7 +125,7 @@ def sample_losses(
     *,
     every_period: bool = False,
     rtol: float = 0.001,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> SampleLosses:
@@ -199,7 +198,7 @@ def design_and_losses(
     *,
     every_period: bool = False,
     of: Wanted = None,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> tuple[ScheduleDesign, SampleLosses | None]:
@@ -237,7 +236,7 @@ def design_and_losses(
     return design, sample_losses(design, every_period=every_period, rng=rng, budget=half, progress=progress)
 
 
-def _bounds(design: ScheduleDesign, periods: int, every_period: bool, budget: Budget, rng: Seed) -> Array:
+def _bounds(design: ScheduleDesign, periods: int, every_period: bool, budget: Budget, rng: checks.Seed) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
@@ -261,7 +260,7 @@ def _bounds(design: ScheduleDesign, periods: int, every_period: bool, budget: Bu
     return np.array([known[key] for key in keys])
 
 
-def _fewer(design: ScheduleDesign, required: Requirement, budget: Budget, rng: Seed) -> float:
+def _fewer(design: ScheduleDesign, required: Requirement, budget: Budget, rng: checks.Seed) -> float:
     """The bound of a design with one sample fewer in every period; 0 where none is left."""
     count = len(design.schedule or ()) - 1
     if count == 0:

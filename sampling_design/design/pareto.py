@@ -20,7 +20,6 @@ from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, sweeps
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
 from sampling_design.records.record import ListRecord, PlainRecord, above, below, counted
 from sampling_design.records.signatures import checked
@@ -156,7 +155,7 @@ def pareto_front(
     requirement: Requirement,
     counts: Iterable[int],
     *,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     budget: float | None = None,

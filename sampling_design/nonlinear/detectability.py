@@ -21,7 +21,6 @@ from sampling_design.numerics.linalg import quadratic
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask, freeze
 from sampling_design.records.budget import Budget
-from sampling_design.records.checks import Seed
 from sampling_design.records.record import Claim, YesOrNo, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
@@ -147,7 +146,7 @@ def check_detectability(
     dt: float | None = None,
     pairs: int = 100,
     u: object = None,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     budget: float | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> DetectabilityEvidence:

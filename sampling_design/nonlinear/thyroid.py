@@ -15,7 +15,6 @@ import numpy as np
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
-from sampling_design.records.checks import known_keys
 
 if TYPE_CHECKING:
     from casadi import SX
@@ -179,7 +178,7 @@ def constants_of(
 ) -> tuple[dict[str, float], float]:
     """Values of the parameters, and seconds per unit of time of w."""
     checks.word("w_reading", w_reading, ("per_second", "per_day"))
-    known_keys("the parameters of the model", changes, PARAMETERS)
+    checks.known_keys("the parameters of the model", changes, PARAMETERS)
     values = {key: parameter.value for key, parameter in PARAMETERS.items()}
     if patient:
         values["G_T"] *= PATIENT_SECRETION

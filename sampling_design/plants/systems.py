@@ -14,7 +14,6 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import described
 
 LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
 CARRIED = "sampling_design_plant"
@@ -100,7 +99,9 @@ def check_system(system: object) -> None:
             "the outputs come late, leave it out and give each measurement the time that it speaks of."
         )
     if not is_system(system) and not all(hasattr(system, key) for key in "ABCD"):
-        raise ArgumentError(f"`system` must be a linear system of control or scipy.signal, got {described(system)}.")
+        raise ArgumentError(
+            f"`system` must be a linear system of control or scipy.signal, got {checks.described(system)}."
+        )
     known = all(hasattr(system, key) for key in "ABCD") or hasattr(system, "num") or hasattr(system, "gain")
     if not known:
         raise ArgumentError(

@@ -13,7 +13,6 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import Seed
 from sampling_design.records.record import PlainRecord
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -132,7 +131,7 @@ class SamplingFamily(PlainRecord, ABC):
         """Say whether `schedule` belongs to the family."""
 
     @abstractmethod
-    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+    def draw(self, rng: checks.Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random finite member that covers [0, duration] or has `samples` samples."""
 
     @property

@@ -9,7 +9,6 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import AnySchedule, SamplingFamily, Steps, extent, gap_steps, in_family_unit, pick
@@ -81,7 +80,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
         low, high = self.shortest - slack, self.longest + slack
         return bool(first <= high and np.all(gaps >= low) and np.all(gaps <= high))
 
-    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+    def draw(self, rng: checks.Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: it covers [0, duration] (default twenty longest gaps), or has `samples` samples.
 
         Half of the gaps are the shortest or the longest one, where the family's claims are tight.

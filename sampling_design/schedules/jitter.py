@@ -14,7 +14,6 @@ from sampling_design.checkers.strict import is_table, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.schedules import family
 from sampling_design.schedules.family import (
@@ -344,7 +343,7 @@ class Jitter(NominalFamily, kind="jitter"):
         near = np.abs(schedule.times - nominal.times) <= self.timing_tolerance + slack
         return bool(np.all(near)) and same_outputs(nominal, schedule)
 
-    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+    def draw(self, rng: checks.Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: half of the deviations are the largest in one direction or the other.
 
         `duration` (default twenty longest gaps) or `samples` say how far an endless nominal schedule is

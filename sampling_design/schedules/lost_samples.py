@@ -12,7 +12,6 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import Seed
 from sampling_design.schedules import family
 from sampling_design.schedules.family import AnySchedule, FamilyStep, Leeway, NominalFamily, Steps, Word, period_of
 from sampling_design.schedules.jitter import begun_late, nominal_part, same_outputs
@@ -128,7 +127,7 @@ class LostSamples(NominalFamily, kind="lost-samples"):
         worst = int(np.max(total[part : part + lost.size] - total[: lost.size]))
         return rounds * int(total[lost.size]) + worst <= self.most
 
-    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+    def draw(self, rng: checks.Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: each sample that may be lost is lost with probability 1/2.
 
         `duration` (default twenty longest gaps) or `samples` (nominal ones) say how far an endless nominal

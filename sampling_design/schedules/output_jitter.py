@@ -13,7 +13,6 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.schedules import jitter
 from sampling_design.schedules.family import (
@@ -138,7 +137,7 @@ class OutputJitter(NominalFamily, kind="output-jitter"):
             return False
         return all(_reads_as(family, schedule, own) for family, own in zip(self.by_output, mask.T, strict=True))
 
-    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+    def draw(self, rng: checks.Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: half of the deviations are the largest in one direction or the other.
 
         `duration` (default twenty longest gaps) or `samples` (nominal ones) say how far an endless nominal schedule is

@@ -9,7 +9,6 @@ import numpy as np
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules import family
@@ -158,7 +157,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             return False
         return bool(np.all(times[i + k] - times[i] <= T + slack[i + k]))
 
-    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+    def draw(self, rng: checks.Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: it covers [0, duration] (default ten windows), or has `samples` samples.
 
         Half of the gaps lie on a border of what is allowed, where the family's claims are tight.

@@ -21,7 +21,6 @@ from sampling_design.plants.functional import Wanted
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Progress
-from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.signatures import checked
 from sampling_design.records.sweeps import Journal, digest
@@ -57,7 +56,7 @@ def validate(
     v_bound: VectorBound = None,
     initial_error: VectorBound = None,
     scenarios: Iterable[str] = SCENARIOS,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,

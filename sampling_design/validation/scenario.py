@@ -22,7 +22,6 @@ from sampling_design.numerics.filtering import inverse_root
 from sampling_design.plants.plant import Plant, remade
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import Column, selected
 from sampling_design.records.record import Plain, TableRecord, counted, short
 from sampling_design.records.signatures import checked
@@ -253,7 +252,7 @@ def simulate_record(
     w_bound: VectorBound = None,
     v_bound: VectorBound = None,
     noise: str = "independent",
-    rng: Seed = None,
+    rng: checks.Seed = None,
 ) -> SimulatedRecord:
     """Simulate a plant on a schedule, exactly: w is constant over cells much shorter than the gaps.
 

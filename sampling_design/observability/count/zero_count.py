@@ -22,7 +22,6 @@ from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
-from sampling_design.records.checks import described
 from sampling_design.records.record import Claim, PlainRecord, short
 from sampling_design.records.signatures import checked, open_verb
 
@@ -122,7 +121,7 @@ def _complex_vector(value: npt.ArrayLike) -> Complex:
     except Exception:  # whatever a foreign object does when it is asked for an array
         found = np.array(None)
     if found.ndim != 1 or found.dtype.kind not in "iufc" or not np.isfinite(found).all():
-        raise ArgumentError(f"`plant` must be a Plant or a list of eigenvalues, got {described(value)}.")
+        raise ArgumentError(f"`plant` must be a Plant or a list of eigenvalues, got {checks.described(value)}.")
     return found.astype(complex)
 
 

@@ -27,7 +27,6 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, freeze
 from sampling_design.records.budget import Budget, Progress
-from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.record import Claim, Plain, above, below, counted, moment, short
 from sampling_design.records.signatures import open_verb
@@ -196,7 +195,7 @@ def worst_case_sigma(
     *,
     of: Wanted = None,
     timing_tolerance: Timing = 0.0,
-    rng: Seed = None,
+    rng: checks.Seed = None,
     rigorous: bool = False,
     budget: float | None = 60.0,
     progress: Progress | None = None,

@@ -21,7 +21,6 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals, remade
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import read_tree, usable, write_tree
 from sampling_design.records.record import Plain, PlainRecord, short
@@ -276,7 +275,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         nothing = np.zeros(getattr(self.nominal, key).shape)
         return [nothing if (M := getattr(each, key)) is None else M for each in self.parameters]
 
-    def draw(self, rng: Seed = None) -> Plant:
+    def draw(self, rng: checks.Seed = None) -> Plant:
         """Return a random plant of the set; half of the parameters are at an end of their range."""
         rng = checks.generator(rng)
         if self.vertices:

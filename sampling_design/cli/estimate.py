@@ -24,8 +24,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import (
     EstimateBlock,
     EstimateColumns,
-    EstimateTable,
     check_radii,
+    estimate_table,
     estimates_along,
 )
 from sampling_design.estimators.online.curve import CurveCollector, EstimateEnvelope
@@ -137,29 +137,28 @@ def followed(
     drawn, centred = folder is not None and not settings.no_picture, kind == "centred"
     curve = CurveCollector(estimator, centred=centred, start=estimator.state.last.t) if drawn and tube else None
     envelope = EstimateEnvelope.over(plant, record.times) if drawn and not tube else None
-    after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
+    counts, last = EstimateCounts(plant.time_unit, centred, record.origin), None
     with ExitStack() as open_files:
-        rows = EstimateTable(plant, folder / "estimates.csv", origin=record.origin, radii=kind) if folder else None
-        columns = EstimateColumns(plant, kind, record.origin) if folder or settings.as_json else None
-        for each in (rows, columns):
-            if each is not None:
-                open_files.enter_context(each)
-        counts, last = EstimateCounts(plant.time_unit, centred, record.origin), None
-        counted = counts if columns is None else columns.counts
+        columns = EstimateColumns(open_files, plant) if folder or settings.as_json else None
+        puts = [] if columns is None else [columns.put]
+        if folder is not None:
+            rows = estimate_table(plant, folder / "estimates.csv", origin=record.origin)
+            puts.append(open_files.enter_context(rows))
         with settings.progress("estimate") as progress:
             for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):
                 last = some[-1]
-                if rows is not None or columns is not None:  # always where there is a picture
+                if puts:  # as wherever there is a picture
                     block = EstimateBlock.of(some, kind)
-                    for each in (rows, columns):
-                        if each is not None:
-                            each.put(block)
+                    for put in puts:
+                        put(block)
                     if envelope is not None:
                         flags = np.array([(e.certified, e.failed) for e in some], dtype=bool).T
                         envelope = envelope.including(block.times, block.x, block.around, *flags)
-                if columns is None:
-                    for estimate in some:
-                        counted.add(estimate.t, estimate)
+                for estimate in some:  # after the block: its radii may disprove the bounds
+                    counts.add(estimate.t, estimate)
+        contradictions = [each.to_dict() for each in counts.contradictions]
+        known = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
+        after = {"contradictions": contradictions, **known}
         if columns is not None and folder is not None:
             with AtomicWriter(folder / "estimates.json") as file:
                 columns.write(lambda text: file.write(text.encode()), settings.named({}), after)
@@ -174,11 +173,11 @@ def followed(
     assert last is not None
     least = last.if_centred() if kind == "intervals" else ""
     settings.show_tables(
-        rows_table("EstimateRecord", counted.rows()),
+        rows_table("EstimateRecord", counts.rows()),
         _last(plant, last, kind, record.origin),
-        f"{guarantee} {counted.explain()}" + f" The last radius with --radii centred: {least}." * bool(least),
+        f"{guarantee} {counts.explain()}" + f" The last radius with --radii centred: {least}." * bool(least),
     )
-    return counted
+    return counts
 
 
 def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.Measurements) -> str:

@@ -8,17 +8,16 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
 from typing import IO, NamedTuple
 
 import numpy as np
 
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
-from sampling_design.estimators.online.estimator import EstimateCounts, EstimateRecord
+from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator
 from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import Measurements, cell_of
@@ -37,8 +36,11 @@ REPORTS = 1000  # times that the progress of a record is reported
 RADII = ("intervals", "centred", "ellipsoids")
 
 
-class EstimateTable:
-    """A table of estimates that grows row by row, each of its own length; a file, whole or not at all.
+@contextmanager
+def estimate_table(
+    plant: Plant, path: str | os.PathLike[str], *, origin: str | None = None
+) -> Iterator[Callable[[EstimateBlock], None]]:
+    """Open a table of estimates that grows block by block, by what this yields; a file, whole or not at all.
 
     Parameters
     ----------
@@ -46,86 +48,49 @@ class EstimateTable:
     path : path
     origin : str, optional
         Date (ISO 8601) of time 0: then a column `date` comes first, to the microsecond.
-    radii : "intervals", "centred" or "ellipsoids"
-        Distance to the far end of the proven interval of each state; the same from the middle of the interval, which is
-        written for the estimate; or half-widths of the ellipsoid, which cost nothing.
     """
+    zero, text = date_of("`origin`", 0, origin) if origin else None, io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    header = [*(["date"] if zero else []), "time", "status", "certified", "cost"]
+    rows.writerow([*header, *(column for name in plant.states.names for column in (name, f"{name}_radius"))])
 
-    def __init__(
-        self, plant: Plant, path: str | os.PathLike[str], *, origin: str | None = None, radii: str = "intervals"
-    ):
-        self.plant, self.radii = plant, check_radii(radii)
-        self._zero = date_of("`origin`", 0, origin) if origin else None
-        self._file, self._text = AtomicWriter(path), io.StringIO()
-        self._rows = csv.writer(self._text, lineterminator="\n")
-        header = [*(["date"] if self._zero else []), "time", "status", "certified", "cost"]
-        header += [column for name in plant.states.names for column in (name, f"{name}_radius")]
-        self._rows.writerow(header)
+    def write() -> None:
+        file.write(text.getvalue().encode())
+        text.seek(0)
+        text.truncate()
 
-    def __enter__(self) -> EstimateTable:
-        self._file.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._write()
-        except BaseException as fault:
-            self._file.__exit__(type(fault))
-            raise
-        self._file.__exit__(kind)
-
-    def put(self, block: EstimateBlock) -> None:
-        """Add the rows of a block."""
-        zero, unit = self._zero, self.plant.time_unit
-        columns = [[dated(zero, t, unit) for t in block.times.tolist()]] if zero else []
+    def put(block: EstimateBlock) -> None:
+        columns = [[dated(zero, t, plant.time_unit) for t in block.times.tolist()]] if zero else []
         columns += [block.time, [e.status for e in block.estimates]]
         columns += [["1" if e.certified else "0" for e in block.estimates], block.cost]
         for pair in zip(block.state, block.radii, strict=True):
             columns += pair
-        self._rows.writerows(zip(*columns, strict=True))
-        if self._text.tell() > PIECE:
-            self._write()
+        rows.writerows(zip(*columns, strict=True))
+        if text.tell() > PIECE:
+            write()
 
-    def _write(self) -> None:
-        self._file.write(self._text.getvalue().encode())
-        self._text.seek(0)
-        self._text.truncate()
+    with AtomicWriter(path) as file:
+        yield put
+        write()
 
 
 class EstimateColumns:
     """The plain data of `EstimateRecord.to_dict`, column by column, grown row by row outside of memory.
 
-    `write` lays down the JSON that `to_json` would make of it, with what stands before and after.
+    `write` lays down the JSON that `to_json` would make of it, with what stands before and after; `open_files` ends it.
     """
 
     LISTS = ("times", "x", "radii", "radius", "cost", "status", "certified", "on_schedule", "notes")
 
-    def __init__(self, plant: Plant, radii: str = "intervals", origin: str = ""):
-        self.plant, self.radii, self.counts = (
-            plant,
-            check_radii(radii),
-            EstimateCounts(plant.time_unit, moved=radii == "centred", origin=origin),
-        )
-        self._begun = False
-
-    def __enter__(self) -> EstimateColumns:
-        with ExitStack() as stack:
-            self._spools: dict[str, IO[str]] = {
-                key: stack.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8")) for key in self.LISTS
-            }
-            self._open = stack.pop_all()
-        return self
-
-    def __exit__(self, *fault: object) -> None:
-        self._open.close()
+    def __init__(self, open_files: ExitStack, plant: Plant):
+        self.plant, self._begun = plant, False
+        self._spools: dict[str, IO[str]] = {
+            key: open_files.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
+            for key in self.LISTS
+        }
 
     def put(self, block: EstimateBlock) -> None:
         """Add what is said of a block of estimates."""
-        for t, estimate in zip(block.times.tolist(), block.estimates, strict=True):
-            self.counts.add(t, estimate)
         columns = (
             block.time,
             _listed(block.state),
@@ -145,7 +110,6 @@ class EstimateColumns:
     def write(self, put: Callable[[str], object], before: Mapping[str, object], after: Mapping[str, object]) -> None:
         """Write everything as JSON, piece by piece: the entries `before`, the record's, the entries `after`."""
         head = {**before, "states": list(self.plant.states.names), "time_unit": self.plant.time_unit}
-        contradictions = [each.to_dict() for each in self.counts.contradictions]
         put(json.dumps(head, indent=2, allow_nan=False, ensure_ascii=False).removesuffix("\n}"))
         for key, spool in self._spools.items():
             put(f',\n  "{key}": [')
@@ -153,9 +117,8 @@ class EstimateColumns:
             while piece := spool.read(PIECE):
                 put(piece)
             spool.seek(0, os.SEEK_END)
-            put("\n  ]" if self.counts.count else "]")
-        tail = {"contradictions": contradictions, **after}
-        put(",\n" + json.dumps(tail, indent=2, allow_nan=False, ensure_ascii=False).removeprefix("{\n") + "\n")
+            put("\n  ]" if self._begun else "]")
+        put(",\n" + json.dumps(after, indent=2, allow_nan=False, ensure_ascii=False).removeprefix("{\n") + "\n")
 
 
 _TRUTH = {True: "true", False: "false"}
@@ -280,10 +243,10 @@ def write_estimates(record: EstimateRecord, path: str | os.PathLike[str], *, ori
 
     Notes
     -----
-    *Method.* Block by block, as `EstimateTable` does for estimates that no record holds.
+    *Method.* Block by block, as estimates are written that no record holds.
     """
-    with EstimateTable(record.plant, path, origin=origin) as table:
+    with estimate_table(record.plant, path, origin=origin) as put:
         for k in range(0, len(record), TOGETHER):
             rows = slice(k, k + TOGETHER)
-            table.put(EstimateBlock.of(list(record.estimates[rows]), table.radii, record.times[rows]))
+            put(EstimateBlock.of(list(record.estimates[rows]), "intervals", record.times[rows]))
     return Path(path)

@@ -6,7 +6,7 @@ Each estimate is written as it comes, so that memory does not grow with the reco
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +37,7 @@ from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.planning.plan_record import Plan
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.budget import Progress
-from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.file_io import atomic_file
 from sampling_design.records.record import above, short
 from sampling_design.records.vector_bounds import VectorBound, vector_bound
 
@@ -140,7 +140,7 @@ def followed(
     counts, last = EstimateCounts(plant.time_unit, centred, record.origin), None
     with ExitStack() as open_files:
         columns = EstimateColumns(open_files, plant) if folder or settings.as_json else None
-        puts = [] if columns is None else [columns.put]
+        puts: list[Callable[[EstimateBlock], None]] = [] if columns is None else [columns.put]
         if folder is not None:
             rows = estimate_table(plant, folder / "estimates.csv", origin=record.origin)
             puts.append(open_files.enter_context(rows))
@@ -160,8 +160,8 @@ def followed(
         known = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
         after = {"contradictions": contradictions, **known}
         if columns is not None and folder is not None:
-            with AtomicWriter(folder / "estimates.json") as file:
-                columns.write(lambda text: file.write(text.encode()), settings.named({}), after)
+            with atomic_file(folder / "estimates.json") as write:
+                columns.write(lambda text: write(text.encode()), settings.named({}), after)
         if columns is not None and settings.as_json:
             columns.write(sys.stdout.write, settings.named({}), after)
     if folder is not None:

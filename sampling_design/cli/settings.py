@@ -21,7 +21,7 @@ from sampling_design.cli.version import show_version
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Progress, progress_bar
 from sampling_design.records.checks import positive, whole
-from sampling_design.records.file_io import AtomicWriter, json_pieces
+from sampling_design.records.file_io import atomic_file, json_pieces
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -155,9 +155,9 @@ class Settings:
         """Write a result with the name of its format into the output folder, if there is one."""
         folder = self.folder()
         if folder is not None:
-            with AtomicWriter(folder / f"{name}.json") as file:
+            with atomic_file(folder / f"{name}.json") as write:
                 for piece in json_pieces(self.named(data)):
-                    file.write(piece.encode())
+                    write(piece.encode())
             self.wrote(folder / f"{name}.json")
 
     def finish(self, record: Record, data: Mapping[str, object], name: str, *tables: Table | str) -> None:

@@ -25,7 +25,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Progress
-from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.file_io import atomic_file
 from sampling_design.records.signatures import checked
 
 PIECE = 1 << 20  # Characters that are written at a time
@@ -54,11 +54,6 @@ def estimate_table(
     header = [*(["date"] if zero else []), "time", "status", "certified", "cost"]
     rows.writerow([*header, *(column for name in plant.states.names for column in (name, f"{name}_radius"))])
 
-    def write() -> None:
-        file.write(text.getvalue().encode())
-        text.seek(0)
-        text.truncate()
-
     def put(block: EstimateBlock) -> None:
         columns = [[dated(zero, t, plant.time_unit) for t in block.times.tolist()]] if zero else []
         columns += [block.time, [e.status for e in block.estimates]]
@@ -67,11 +62,13 @@ def estimate_table(
             columns += pair
         rows.writerows(zip(*columns, strict=True))
         if text.tell() > PIECE:
-            write()
+            write(text.getvalue().encode())
+            text.seek(0)
+            text.truncate()
 
-    with AtomicWriter(path) as file:
+    with atomic_file(path) as write:
         yield put
-        write()
+        write(text.getvalue().encode())
 
 
 class EstimateColumns:

@@ -9,11 +9,10 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import accumulate, islice
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -253,51 +252,44 @@ def decimals(cells: Sequence[str], commas: bool, blank: bool) -> Array | None:
     return values
 
 
-class AtomicWriter:
-    """A file that is written piece by piece beside its place, and stands there whole or not at all.
+@contextmanager
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Callable[[bytes], None]]:
+    """Open a file that is written piece by piece beside its place, and stands there whole or not at all.
 
-    Used as a context: at its end the file is renamed into place, on any error it is removed. Raises FileFormatError if
-    the folder is missing or cannot be written.
+    What this yields adds to it. At the end it is renamed into place, on any error it is removed. Raises FileFormatError
+    if the folder is missing or cannot be written.
     """
+    target = Path(path)
+    with _writing(target):
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        stream = os.fdopen(handle, "wb")
 
-    def __init__(self, path: str | os.PathLike[str]):
-        self.target = Path(path)
-        self._stream: BinaryIO | None = None
+    def write(content: bytes) -> None:
+        with _writing(target):
+            stream.write(content)
 
-    def __enter__(self) -> AtomicWriter:
-        with self._errors_named():
-            handle, self._temporary = tempfile.mkstemp(dir=self.target.parent, prefix=f".{self.target.name}.")
-            self._stream = os.fdopen(handle, "wb")
-        return self
+    try:
+        yield write
+        with _writing(target):
+            stream.flush()
+            os.fsync(stream.fileno())
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+            os.replace(temporary, target)
+    finally:
+        with suppress(OSError):  # what could not be flushed is removed below
+            stream.close()
+        Path(temporary).unlink(missing_ok=True)
 
-    def write(self, content: bytes) -> None:
-        """Add to the file."""
-        assert self._stream is not None
-        with self._errors_named():
-            self._stream.write(content)
 
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        assert self._stream is not None
-        try:
-            with self._errors_named():
-                if kind is None:
-                    self._stream.flush()
-                    os.fsync(self._stream.fileno())
-                    umask = os.umask(0)
-                    os.umask(umask)
-                    os.chmod(self._temporary, 0o666 & ~umask)
-                    os.replace(self._temporary, self.target)
-        finally:
-            with suppress(OSError):  # what could not be flushed is removed below
-                self._stream.close()
-            Path(self._temporary).unlink(missing_ok=True)
-
-    @contextmanager
-    def _errors_named(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise FileFormatError(f"{self.target}: cannot be written ({error.strerror}).", str(self.target)) from None
+@contextmanager
+def _writing(target: Path) -> Iterator[None]:
+    """Say of an error of the disk which file it is of."""
+    try:
+        yield
+    except OSError as error:
+        raise FileFormatError(f"{target}: cannot be written ({error.strerror}).", str(target)) from None
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
@@ -305,9 +297,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
 
     Raises FileFormatError if the folder is missing or cannot be written.
     """
-    with AtomicWriter(path) as file:
-        file.write(content)
-    return file.target
+    with atomic_file(path) as write:
+        write(content)
+    return Path(path)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> Path:

@@ -150,8 +150,8 @@ def test_a_file_that_is_half_written_when_the_program_is_ended_is_not_there(tmp_
     code = (
         "import os, signal; from sampling_design.cli import exit_codes; from sampling_design.records import file_io\n"
         "def half():\n"
-        "    with file_io.AtomicWriter('plan.json') as file:\n"
-        "        file.write(b'{'); os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    with file_io.atomic_file('plan.json') as write:\n"
+        "        write(b'{'); os.kill(os.getpid(), signal.SIGTERM)\n"
         "exit_codes._run = half; exit_codes.main()"
     )
     found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -38,8 +38,9 @@ class RowBetweenSamples:
     below: Array
     slope: Array  # (N,): on each panel, a bound on |d/ds h_W(G'Phi(s)'c)|
 
+    @np.errstate(over="ignore", invalid="ignore")
     def bound(self, directions: BoundedDirections) -> tuple[Array, Array]:
-        """Return bounds on rho at the nodes (N+1,) and all along the panels (N,)."""
+        """Return bounds on rho at the nodes (N+1,) and all along the panels (N,): infinite where one overflows."""
         h = float(self.d[-1] - self.d[0]) / (self.d.size - 1)
         nodes = directions.bound(self.mu) + self.above
         turn = directions.bound(self.bend)
@@ -47,7 +48,8 @@ class RowBetweenSamples:
         if h == 0:  # a schedule that ends with a sample
             return nodes, np.maximum(nodes[1:], nodes[:-1])
         sag = h * h / 8 * (np.maximum(turn[1:], turn[:-1]) + h / 2 * drift + self.slope)
-        return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
+        panels = np.maximum(nodes[1:], nodes[:-1]) + sag
+        return np.where(np.isnan(nodes), np.inf, nodes), np.where(np.isnan(panels), np.inf, panels)
 
     def since(self, offset: float) -> RowBetweenSamples:
         """The panels that end later than an offset, or the last one."""
@@ -88,6 +90,7 @@ Integrals: TypeAlias = tuple[Array, Array, Array, Array, Array]
 KnownIntegrals: TypeAlias = dict[tuple[float, float], Integrals]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of what overflows, `bound` says that it bounds nothing
 def open_row(
     system: SampledSystem,
     j: int,

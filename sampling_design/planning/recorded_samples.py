@@ -20,6 +20,7 @@ from sampling_design.records.arrays import Array, Mask
 Reading: TypeAlias = npt.ArrayLike | Sequence[PartialReading | float] | None
 NEAR = 1e6  # steps of the grid up to which times are taken as they are: there doubles lie within a millionth of one
 APART = 1 / 8  # share of a step by which doubles may differ, at most
+FARTHEST = 50_000  # steps between samples of a record: a missed year of quarter hours is gone through in a minute
 
 
 class RecordedSamples(NamedTuple):
@@ -36,8 +37,7 @@ def taken_samples(
     """Times and outputs of a record."""
     if record is None:
         return None
-    times: list[float] = []
-    measured: list[Mask] = []
+    found = dict[float, Mask]()
     for item in rows_of(record, plan.plant, plan.schedule.origin or ""):
         _, reading, *_ = checks.entries("record", item, (2, 3), "rows (t, y, u)")
         plain, limits = with_censored(reading, plan.plant.n_outputs)
@@ -48,14 +48,24 @@ def taken_samples(
         if not y.any():
             continue
         t = check_resolved(plan, "t", checks.number("t", item[0]))
-        if y.size != plan.plant.n_outputs or (times and t <= times[-1]):
-            raise ArgumentError(
-                f"`record` must hold {plan.plant.n_outputs} outputs a sample, in order of time, got one at {t!r}."
-            )
-        times.append(t)
-        measured.append(y)
-    mask = np.array(measured, dtype=bool).reshape(-1, plan.plant.n_outputs)
-    return RecordedSamples(np.array(times), mask, mask)
+        if y.size != plan.plant.n_outputs:
+            raise ArgumentError(f"`record` must hold {plan.plant.n_outputs} outputs a sample, got {y.size} at {t!r}.")
+        found[t] = found[t] | y if t in found else y
+    mask = np.array([found[t] for t in sorted(found)], dtype=bool).reshape(-1, plan.plant.n_outputs)
+    return RecordedSamples(np.array(sorted(found)), mask, mask)
+
+
+def check_followed(plan: Plan, taken: RecordedSamples | None, now: float) -> None:
+    """Raise ArgumentError if more of the grid lies between samples of a record, or behind it, than is gone through."""
+    if taken is None or not taken.times.size:
+        return
+    gaps = np.diff(np.append(taken.times, now)) / plan.problem.step
+    longest = int(np.argmax(gaps))
+    if gaps[longest] > FARTHEST:
+        raise ArgumentError(
+            f"`now` or the next row of `record` lies {gaps[longest]:.3g} steps of the plan's grid after the row at "
+            f"{float(taken.times[longest])!r}, more than {FARTHEST}: do they count from the plan's start?"
+        )
 
 
 def _as_planned(plan: Plan, reading: CensoredReading) -> bool:

@@ -18,6 +18,7 @@ from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.recorded_samples import (
     Reading,
     RecordedSamples,
+    check_followed,
     check_resolved,
     clock_near_start,
     put_back,
@@ -273,7 +274,7 @@ def next_sample(
     plan : Plan
         Whose tolerances are kept.
     record : Measurements or iterable of (t, y, u), optional
-        What was measured since the plan began, in order; only the times and the outputs that are not NaN matter.
+        What was measured since the plan began, in any order; only the times and the outputs that are not NaN matter.
         Before its first sample, the plan was followed since its start, where nothing is known but the requirement's
         `initial_error`. Default: it was followed until `now`.
     now : float, optional
@@ -296,8 +297,9 @@ def next_sample(
     Raises
     ------
     ArgumentError
-        If the plan does not keep its tolerances, the record is not in order, or what is awaited has no `result_delay`,
-        was not taken by `now`, or is in the record, or a time is so large that no double tells steps of the grid apart.
+        If the plan does not keep its tolerances, the record or `now` leaves too much of the grid without a sample, or
+        what is awaited has no `result_delay`, was not taken by `now`, or is in the record, or a time is so large that
+        no double tells steps of the grid apart.
 
     Notes
     -----
@@ -332,6 +334,7 @@ def next_sample(
     if taken is not None and taken.times.size and at < last - 1e-9 * plan.problem.step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
     taken = with_awaited(plan, taken, [*awaited], at)
+    check_followed(plan, taken, at)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     zero = clock_near_start(plan, taken, at, soon=budget is not None)
     if zero:
@@ -429,7 +432,8 @@ def _history(plan: Plan, taken: RecordedSamples | None, now: float, *, soon: boo
     times = np.concatenate([followed.times, taken.times])
     measured = np.concatenate([followed.measured, taken.measured])
     count = first = len(followed.times)
-    wanted = planned(plan, until, now + tiny, plan.clock)
+    enough = until + (taken.times.size + 2) * plan.schedule.period  # as many of the plan's as there are in the record
+    wanted = planned(plan, until, min(now + tiny, enough), plan.clock)
     for t, mask, planned_at, meant in zip(taken.times, taken.measured, *wanted, strict=False):
         if late.shift or abs(t - planned_at) > tiny or not np.array_equal(mask, meant):
             break  # where samples may be late, the plan's own is about its centre

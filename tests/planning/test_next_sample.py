@@ -167,6 +167,27 @@ def test_where_the_clock_stands_changes_no_answer_as_long_as_doubles_tell_steps_
             sd.next_sample(plan, record, now=now)
 
 
+def test_a_clock_that_is_far_beyond_the_record_is_refused_in_a_sentence():
+    """Who gave seconds since 1970 for the time since the plan's start waited for ever, or for a list of all samples."""
+    plan = every_sixth([[-0.1]], [[1.0]], 0.168)
+    for rows, now in (([6.0], 1.7e9), ([6.0, 1.7e9], 1.7e9), ([6.0, 1.2e5], 1.2e5)):
+        with pytest.raises(ArgumentError, match=r"steps of the plan's grid after the row at 6\.0, more than 50000"):
+            sd.next_sample(plan, [(t, [0.0], None) for t in rows], now=now)
+
+
+def test_rows_of_a_record_come_in_any_order_and_in_parts(week):
+    """As estimators take them: what is read at one time may stand in several rows."""
+    rows = [(float(t), np.zeros(week.plant.n_outputs), None) for t in week.schedule.times[:4]]
+    parts = [(t, np.where(np.arange(y.size) == i, y, np.nan), u) for t, y, u in rows for i in range(y.size)]
+    found, whole = (sd.next_sample(week, given, prove=False) for given in (parts[::-1], rows))
+    assert (found.now, found.latest, found.outputs, found.known) == (
+        whole.now,
+        whole.latest,
+        whole.outputs,
+        whole.known,
+    )
+
+
 @pytest.mark.parametrize("zero", few([0.0, 1.2e6], 1))
 def test_a_sample_beside_the_grid_counts_from_when_it_wastaken_samples(zero):
     """The error of a drifting level is v + w d so long after a sample: its tolerance is reached after 6.8."""
@@ -270,7 +291,7 @@ def test_a_limit_that_the_plan_does_not_count_with_says_nothing(week):
 def test_wrong_arguments_are_refused(week):
     with pytest.raises(ArgumentError, match=r"must not lie before the last sample .*, got "):
         sd.next_sample(week, [(9.0, [1.0, 2.0], None)], now=3.0)
-    with pytest.raises(ArgumentError, match="outputs a sample, in order of time"):
+    with pytest.raises(ArgumentError, match="must hold 2 outputs a sample, got"):
         sd.next_sample(week, [(9.0, [1.0], None)])
     for row in (3.0, "a", [9.0], np.inf):
         with pytest.raises(ArgumentError, match=r"`record` must hold rows \(t, y, u\), got"):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design.certificates.exact.noise_gain_scale import EXACT, RateWindows
+from sampling_design.certificates.exact.window_gains import Look
 
 
 class Known:
@@ -12,9 +13,9 @@ class Known:
     def __init__(self, rises):
         self.rises, self.asked = rises, 0
 
-    def value(self, P):
+    def looked(self, P):
         self.asked += 1
-        return self.rises(float(np.log(P[0, 0])))
+        return Look(self.rises(float(np.log(P[0, 0]))))
 
 
 RISES = {

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
-from sampling_design.certificates.exact.window_gains import WindowConditions
+from sampling_design.certificates.exact.window_gains import Look, WindowConditions
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 
@@ -55,31 +55,50 @@ class RateWindows:
             return []
 
     def scaled(
-        self, shape: Array, budget: float, width: float = EXACT, late: Callable[[], bool] = lambda: False
+        self,
+        shape: Array,
+        budget: float,
+        width: float = EXACT,
+        late: Callable[[], bool] = lambda: False,
+        below: float = np.inf,
     ) -> tuple[Array, float] | None:
         """The shape at the least scale that the budget allows, and ln lam there; None where none does.
 
         lam(c)/c falls with the scale c and lam(c) rises, so the least scale is the one on the budget. It is met to
         within the factor e^`width`, from above. ln lam rises at most as fast as ln c, so what is left of the budget is
         the least step towards it, and its slope so far tells the next. Once it is `late`, a scale that the budget
-        allows does.
+        allows does. None, too, where ln lam is not `below` a value: where it is as much at a smaller scale.
         """
         least, allowed = self.least(shape), float(np.log(budget))
+        looks: dict[float, Look] = {}
 
         @cache
+        def value(log_scale: float) -> float:
+            at = min(looks, key=lambda known: abs(known - log_scale), default=None)
+            if at is None or not abs(at - log_scale) <= looks[at].reach:
+                looks[log_scale] = self.windows.looked(np.exp(log_scale) * shape)
+                return looks[log_scale].value
+            return looks[at].along(log_scale - at)
+
         def excess(log_scale: float) -> float:
-            return self.windows.value(np.exp(log_scale) * shape) - log_scale - least - allowed
+            return value(log_scale) - log_scale - least - allowed
 
         left, near = excess(0.0), 0.0
+        if left > 0 and value(0.0) >= below:
+            return None
         direction, step = (1.0 if left > 0 else -1.0), PAST * abs(left) + width
         while (excess(far := direction * min(abs(near) + step, WIDEST)) > 0) == (direction > 0):
             if not abs(near) + step < WIDEST:  # neither where nothing is a number
+                return None
+            if direction > 0 and value(far) >= below:
                 return None
             slope = max((abs(left) - abs(excess(far))) / step, LEAST_SLOPE)
             near, left = far, excess(far)
             step = max(PAST * abs(left) / slope, 2 * step)  # where lam rises as fast as c, no slope tells how far
         low, high = sorted((near, far))
+        if value(low) >= below:
+            return None
         if late():
             return np.exp(high) * shape, excess(high) + high + least + allowed
-        P = np.exp(float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width) * shape
-        return P, self.windows.value(P)
+        last = float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width
+        return np.exp(last) * shape, value(last)

@@ -20,7 +20,7 @@ from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
-from sampling_design.certificates.exact.window_gains import LATER
+from sampling_design.certificates.exact.window_gains import LATER, Look
 from sampling_design.certificates.form.claims import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import long_run, one_period
@@ -129,9 +129,9 @@ class PreciseWindows:
         Y = self.long_run(np.zeros((self.n, self.n)))
         return float(np.linalg.eigvalsh(Y * size * size[:, None])[:, -1].max())
 
-    def value(self, P: Array) -> float:
+    def looked(self, P: Array) -> Look:
         """ln lambda of P2 = P, looked at before samples."""
-        return float(np.log(max(self.peaks(P, 2, 1))))
+        return Look(float(np.log(max(self.peaks(P, 2, 1)))))
 
     def peaks(self, P: Array, cells: int = CELLS, parts: int = CELLS) -> tuple[float, float]:
         """The largest lambda met over all starts, and over those at samples."""

@@ -9,12 +9,16 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 
 from sampling_design.certificates.exact.canonical import ScaledProblem, origin_question
 from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, RateWindows, rounded
-from sampling_design.certificates.exact.window_gains import WindowConditions, WindowSet
+from sampling_design.certificates.exact.weight_variables import WeightVariables
+from sampling_design.certificates.exact.window_gains import (
+    WindowConditions,
+    WindowSet,
+    WindowTimes,
+)
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.checkers.outcome import WorkLimit
@@ -56,17 +60,22 @@ ROUNDER = 1e-7, 1e-4, 0.1  # shares for shapes of less and less condition, where
 SMALL = 4  # states up to which a search may take its full time; beyond them the second number of each pair below counts
 STARTS = 3, 1  # rates of the scan from which the descent starts
 MAX_ITERATIONS = 40, 20
-JOINT = 40, 8
+JOINT = 40, 20
+FIRST = 10
+"""Likewise of a first descent, which follows few times, and at whose end others often count."""
 RESTARTS = 4, 2
 WORTHWHILE = 1e-3
 """Descents that follow each other at most, and the relative gain below which none follows."""
-PRECISION = 1e-5  # change of ln lam (of the horizon, relative) at which the descent stops
-DIFFERENCE = 1e-5  # relative step in eta of the one difference quotient
-SEARCH_WORK, RATE_WORK, ROUND_WORK = 5.5e6, 3e6, 4e6
+ROUNDS = 6  # further descents at most, since times of windows count at the end of one that it did not follow
+MISSED = 1e-4  # ln lam (over 1 + ln lam) by which these exceed those that it followed: less brings nothing
+NEAR, WIDER = 0.1, 0.25
+"""How far below the largest ln lambda, and by which share of it more, the times of windows lie that a descent follows:
+with fewer it ends where others are larger and begins anew, more of them only cost time."""
+PRECISION = 1e-6  # change of ln lam (of the horizon, relative) at which the descent stops
+SEARCH_WORK, RATE_WORK, ROUND_WORK = 5e6, 3e6, 4e6
 """Work, about microseconds, after which the search of weights (of a rate alone, of round shapes) ends with the best
 that it has: any shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on
 every machine."""
-STEP_WORK = 30  # work of one step of a descent, per variable, beside that of its windows
 MODERATE = float(np.log(1e6))
 """ln of the lambda up to which a proof in doubles is easy: rounding counts about as much less than it as it grows."""
 COMPARED = 1.15  # shapes whose horizon is within this factor of the best one's are compared by their exact lambda
@@ -170,18 +179,28 @@ class WeightSearch:
             for shape in self.guesses(eta):
                 if choices and self.late:
                     break
-                choice = self.judged(shape, eta, budget, width=COARSE)
+                least = min((choice.value for choice in choices), default=np.inf)
+                choice = self.judged(shape, eta, budget, width=COARSE, below=least)
                 choices += [] if choice is None else [choice]
         except (SolverError, np.linalg.LinAlgError):
             return None
         return min(choices, key=attrgetter("value"), default=None)
 
     def judged(
-        self, shape: Array, eta: float, budget: float, like: ChosenWeights | None = None, width: float = EXACT
+        self,
+        shape: Array,
+        eta: float,
+        budget: float,
+        like: ChosenWeights | None = None,
+        width: float = EXACT,
+        below: float = np.inf,
     ) -> ChosenWeights | None:
-        """A shape at the budget, or None where the budget does not allow it at any scale or it is lost in rounding."""
+        """A shape at the budget, or None where the budget does not allow it at any scale or it is lost in rounding.
+
+        None, too, where it is not `below` a value.
+        """
         try:
-            scaled = self.setting(eta).scaled(shape, budget, width, lambda: self.late)
+            scaled = self.setting(eta).scaled(shape, budget, width, lambda: self.late, below * eta)
         except (np.linalg.LinAlgError, SolverError, ValueError):
             return None
         if scaled is None or not np.isfinite(scaled[1]):
@@ -191,113 +210,81 @@ class WeightSearch:
 
     def descend(self, start: ChosenWeights, budget: float, bounds: tuple[float, float]) -> ChosenWeights:
         """Descend anew from where a descent ended until that brings nothing: at a kink of lambda one may stop early."""
-        best = self._descent(start, budget, bounds)
-        for _ in range(self.restarts if bounds[0] == bounds[1] else 1):
-            if self.work.over:
-                break
-            descended = self._descent(best, budget, bounds)
-            steps = best.iterations + descended.iterations
-            gained = descended.value < best.value * (1 - WORTHWHILE)
-            best = replace(min(descended, best, key=attrgetter("value")), iterations=steps)
-            if not gained:
+        best, times, restarts = start, None, self.restarts if bounds[0] == bounds[1] else 1
+        for k in range(restarts + ROUNDS):
+            descended, times, complete, settled = self._descent(
+                best, budget, bounds, times, first=k == 0 and bounds[0] == bounds[1]
+            )
+            gained = descended is not None and descended.value < best.value * (1 - WORTHWHILE)
+            if descended is not None:
+                steps = best.iterations + descended.iterations
+                best = replace(min(descended, best, key=attrgetter("value")), iterations=steps)
+            restarts -= complete and k > 0
+            if self.work.over or restarts < 0 or settled or (complete and not gained):
                 break
         return best
 
-    def _descent(self, start: ChosenWeights, budget: float, bounds: tuple[float, float]) -> ChosenWeights:
-        """Sequential quadratic programming on ln lam, T (L = L0 T, P2 = L L') and ln eta."""
+    def _descent(
+        self, start: ChosenWeights, budget: float, bounds: tuple[float, float], known: WindowTimes | None, first: bool
+    ) -> tuple[ChosenWeights | None, WindowTimes | None, bool, bool]:
+        """Sequential quadratic programming on ln lam, T (P2 = L T T' L') and ln eta; None where nothing is met.
+
+        Only those times of windows enter at which ln lam is near its largest, or that are `known`. Also returned: these
+        with what counts at the end, whether they were all that does, and whether the descent is at its end, too.
+        """
         L = np.asarray(np.linalg.cholesky(start.P2), dtype=np.float64)
-        state = _WeightVariables(self, L, start.eta, bounds, budget)
         solve: Any = minimize
+        most = self.iterations if bounds[0] == bounds[1] else self.joint
+        steps, ended = 0, False
+        state: WeightVariables | None = None
         try:
+            look = self._followed(start.eta).looked(start.P2)
+            known = followed = look.times(NEAR + WIDER * look.value).also(known)
+            state = WeightVariables(
+                self.setting,
+                lambda rate: self._followed(rate).maps(L, followed),
+                (L, start.eta),
+                bounds,
+                budget,
+                self.work,
+            )
             z = state.start()
             free = [(None, None)] * (z.size - 1)
             optimum = solve(
                 state.objective, z, jac=True, method="SLSQP",
                 bounds=[(0.0, None), *free[1:], (np.log(bounds[0]), np.log(bounds[1]))],
                 constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
-                options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
+                options={"maxiter": FIRST if first else most, "ftol": PRECISION},
             )  # fmt: skip
-            steps, status = int(optimum.nit), str(optimum.message)
+            steps, status, ended = int(optimum.nit), str(optimum.message), bool(optimum.success)
         except BudgetSpentError:
-            steps, status = 0, "the search has used its work, and ended with the best that it had"
+            status = "the search has used its work, and ended with the best that it had"
         except (np.linalg.LinAlgError, SolverError, ValueError) as error:
-            steps, status = 0, f"the descent ended where windows are lost in rounding ({error})"
-        if not state.best.size or not np.isfinite(state.value):
-            return start
-        T, rate = state.unpack(state.best)
-        return ChosenWeights(L @ T @ T.T @ L.T, rate, state.value, steps, status)
+            status = f"the descent ended where windows are lost in rounding ({error})"
+        if state is None:
+            return None, known, True, True
+        best: ChosenWeights | None = None
+        times, complete, settled = known, True, True
+        for value, need, z in (state.near, state.kept):
+            if not z.size or (best is not None and best.value <= value):
+                continue
+            T, rate = state.unpack(z)
+            P = L @ T @ T.T @ L.T
+            try:
+                look = self._followed(rate).looked(P)
+            except (np.linalg.LinAlgError, SolverError, ValueError):
+                continue
+            complete &= look.value <= need + MISSED * (1 + need)
+            made = self.judged(P, rate, budget, replace(start, iterations=steps, status=status))
+            settled = ended and complete and made is not None and made.value <= value * (1 + MISSED)
+            times = look.times(NEAR + WIDER * look.value).also(times)
+            best = made if made is not None and (best is None or made.value < best.value) else best
+        return best, times, complete, settled
 
-
-class _WeightVariables:
-    """Variables z = (ln lam, entries of T, ln eta); constraints: every window, and every eigenvalue of (P2, B)."""
-
-    def __init__(self, search: WeightSearch, L: Array, eta: float, bounds: tuple[float, float], budget: float) -> None:
-        self.search, self.L, self.eta, self.bounds, self.budget = search, L, eta, bounds, budget
-        self.lower = np.tril_indices(len(L))
-        self.known: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
-        self.best, self.value = np.zeros(0), np.inf  # the best point met that keeps the budget
-
-    def start(self) -> Array:
-        """The starting point, ln lam just feasible."""
-        z = np.concatenate([[0.0], np.eye(len(self.L))[self.lower], [np.log(self.eta)]])
-        z[0] = max(-self.at(z)[0][: -len(self.L)].min(), 0.0)
-        self.best = z.copy() if not self.best.size else self.best
-        return z
-
-    def unpack(self, z: Array) -> tuple[Array, float]:
-        """T and eta."""
-        T = np.zeros_like(self.L)
-        T[self.lower] = z[1:-1]
-        return T, float(np.clip(np.exp(z[-1]), *self.bounds))
-
-    def objective(self, z: Array) -> tuple[float, Array]:
-        """ln(lam)/eta in units of the first eta, and its gradient."""
-        ratio = self.eta / np.exp(z[-1])
-        slope = np.zeros_like(z)
-        slope[0], slope[-1] = ratio, -z[0] * ratio
-        return float(z[0] * ratio), slope
-
-    def at(self, z: Array) -> tuple[Array, Array]:
-        """Constraint values (>= 0) and gradients at z."""
-        if self.known[0] == z.tobytes():
-            return self.known[1:]
-        if self.search.work.over:
-            raise BudgetSpentError
-        self.search.work.spend(STEP_WORK * z.size)
-        T, rate = self.unpack(z)
-        value, slope = self._constraints(T, rate, z[0])
-        # what counts is the least horizon with the constraints kept, at whatever ln lam the windows then need
-        need = max(z[0] - value[: -len(T)].min(), 0.0)
-        room = value[-len(T) :].min() + z[0] - need
-        if room >= -1e-6 and need / rate < self.value:
-            self.best, self.value = z.copy(), need / rate
-        self.known = (z.tobytes(), value, slope)
-        return value, slope
-
-    def jacobian(self, z: Array) -> Array:
-        """Gradients of the constraints; the one in ln eta is a difference quotient, and only here."""
-        value, slope = self.at(z)
-        if self.bounds[1] > self.bounds[0]:
-            T, rate = self.unpack(z)
-            step = DIFFERENCE if rate * (1 + DIFFERENCE) <= self.bounds[1] else -DIFFERENCE
-            slope[:, -1] = (self._constraints(T, rate * (1 + step), z[0])[0] - value) / np.log1p(step)
-        return slope
-
-    def _constraints(self, T: Array, rate: float, log_lam: float) -> tuple[Array, Array]:
-        setting, L = self.search.setting(rate), self.L @ T
-        assert isinstance(setting.windows, WindowSet)  # descents run in doubles
-        logs, gradients = setting.windows.log_lambda(L)
-        vectors, sizes, _ = np.linalg.svd(solve_triangular(setting.b, L, lower=True))
-        sizes = np.maximum(sizes, 1e-150)
-        along = solve_triangular(setting.b, vectors, lower=True, trans="T") / sizes
-        sized = np.einsum("ik,jk->kij", along, along)
-        room = np.log(self.budget) - log_lam + 2 * np.log(sizes)
-        slopes = np.concatenate([-gradients, sized])
-        in_T = 2 * self.L.T @ slopes @ L
-        slope = np.zeros((len(slopes), 2 + self.lower[0].size))
-        slope[:, 1:-1] = in_T[:, self.lower[0], self.lower[1]]
-        slope[:, 0] = np.append(np.ones(logs.size), -np.ones(sizes.size))
-        return np.append(log_lam - logs, room), slope
+    def _followed(self, eta: float) -> WindowSet:
+        windows = self.setting(eta).windows
+        assert isinstance(windows, WindowSet)  # descents run in doubles
+        return windows
 
 
 def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
@@ -467,7 +454,6 @@ def choose_rate(
     After `RATE_WORK`, or once `budget` is spent, it is the best that was met.
     """
     report = progress or (lambda fraction, message: None)
-    root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
     n, work, met = canon.plant.n_states, WorkLimit(RATE_WORK, stop=lambda: budget.over), dict[float, float]()
 
     def horizon(log_rate: float) -> float:
@@ -477,7 +463,7 @@ def choose_rate(
             raise BudgetSpentError
         try:
             problem = window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, rate)
-            met[rate] = max(float(WindowSet.of(problem, work).log_lambda(root)[0].max()), 0.0) / rate
+            met[rate] = WindowSet.of(problem, work).looked(P2).value / rate
         except (SolverError, np.linalg.LinAlgError):
             met[rate] = np.inf
         return met[rate]

@@ -42,6 +42,7 @@ RTOL = 0.01  # default width of the brackets, relative
 WIDE = 1.05
 """Bracket beyond which late samples are looked at about their latest and earliest times, too: error that grows between
 samples is bounded best about the latest ones, of one state exactly."""
+FILTERED = (3e-4, 2.5e-5)  # counted: what the filter bounds after a sample, and with n states n^2 times
 MOST_SOLVES = 2000  # programs for one row; a bracket that is not closed by then says so
 
 
@@ -200,6 +201,7 @@ def answer_of(
     if safe and question.timing_tolerance:
         noise, search, planned = noise_enough(question, known, limit)
     elif safe:
+        limit.spend((FILTERED[0] + FILTERED[1] * known.plant.n_states**2) * len(question.nodes))
         search = GainSearch(*question.filter_bounds(known.plant, known.moving), budget=limit)
     found: dict[int, RowSearch] = {}
     if search is not None:

@@ -79,6 +79,28 @@ class RowSearch:
     worst: tuple[int, int] = (0, 0)
     closed: bool = False
     size: float = 0.0  # what disturbance and noise of a period make of the row
+    _tops: dict[int, tuple[Array, float, int]] = field(default_factory=dict)
+
+    def top(self, j: int) -> tuple[float, int]:
+        """The highest bound on gap j and its panel, looked for where it was bounded anew since."""
+        nodes, panels = self.nodes[j], self.panels[j]
+        if j not in self._tops or self._tops[j][0] is not panels:
+            ends = np.where(np.isfinite(nodes), nodes, 0.0)  # what is not known at all does not count
+            high = np.where(np.isfinite(panels), panels, np.maximum(ends[1:], ends[:-1]))
+            k = int(np.argmax(high))
+            self._tops[j] = panels, float(high[k]), k
+        return self._tops[j][1:]
+
+    def slack(self, j: int) -> tuple[float, int]:
+        """By how much the bound on gap j may be loose at an offset not solved: its ratio to what the nearest say."""
+        top, solved = np.where(np.isfinite(self.nodes[j]), self.nodes[j], 0.0), sorted(self.solved[j])
+        left = np.setdiff1d(np.arange(top.size), solved)
+        if not left.size or not top.any():
+            return 1.0, 0
+        sure = np.interp(left, solved, top[solved]) if solved else np.zeros(left.size)
+        ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
+        best = int(np.argmax(np.where(top[left] > 0, ratio, 0.0)))
+        return float(ratio[best]), int(left[best])
 
     @property
     def idle(self) -> bool:

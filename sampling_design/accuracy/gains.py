@@ -6,7 +6,8 @@ on its way back. Gains as numbers would let it grow as the plant does over their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from typing import TypeAlias
@@ -174,6 +175,42 @@ def filtered(system: SampledSystem, nodes: list[int], known: Callable[[int], Arr
         return []
     nothing = tuple(np.zeros(len(system.samples[node].H)) for node in nodes[max(first - 1, 0) :])
     return [Gains(float(value), nothing) for value in (total + reach @ np.abs(g)) * (1 + ROUNDING)]
+
+
+def filtered_along(
+    system: SampledSystem, count: int, known: Callable[[int], Array | None], wanted: Mapping[int, Array]
+) -> Iterator[tuple[int, list[Gains]]]:
+    """The same of rows (m, n) at many samples, from at most so many: one way back, which they join and leave in turn.
+
+    `known` as for `followed_back`; nothing of what comes to a sample so far back that bounds nothing.
+    """
+    N, g, total = len(system), np.zeros((system.D.size, 0)), np.zeros(0)
+    begun: deque[int] = deque()
+    for at in range(max(wanted, default=0), min(wanted, default=0) - count, -1):
+        if at in wanted:
+            begun.append(at)
+            g, total = np.hstack([g, wanted[at].T]), np.append(total, np.zeros(len(wanted[at])))
+        if not begun:
+            continue
+        sample, gap = system.samples[at % N], system.gap((at - 1) % N)
+        lam = sample.K.T @ g
+        g = g - sample.H.T @ lam
+        total = total + noise_cost(lam, sample.noise, system.bounds.v_ball) + gap.integral(g, system.bounds.w_ball)
+        g, first = gap.F.T @ g, at - 1
+        while begun:
+            j, m = begun[0], len(wanted[begun[0]])
+            far = j - first >= count - 1
+            if not far and np.abs(g[:, :m]).sum(axis=0).max(initial=0.0) > LEFT:
+                break
+            reach = known(first % N)
+            if reach is None and not far:
+                break
+            if reach is not None:
+                nothing = tuple(np.zeros(len(system.samples[k % N].H)) for k in range(first, j + 1))
+                values = (total[:m] + reach @ np.abs(g[:, :m])) * (1 + ROUNDING)
+                yield j, [Gains(float(value), nothing) for value in values]
+            begun.popleft()
+            g, total = g[:, m:], total[m:]
 
 
 def transferred_gains(

@@ -12,7 +12,7 @@ from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, bo
 from sampling_design.accuracy.between_samples import NEGLIGIBLE, KnownIntegrals, RowBetweenSamples, RowSearch, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections, combined
 from sampling_design.accuracy.bounds import InitialSet
-from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, filtered, transferred_gains
+from sampling_design.accuracy.gains import Gains, centre_offset, evaluated, filtered, filtered_along, transferred_gains
 from sampling_design.accuracy.sampled_system import CELL_LOSS, SampledSystem
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
@@ -30,6 +30,9 @@ SMALL = 20000  # states times states and entries of w, all along the window, of 
 TAIL = 64  # samples back to which gains that are put together go on as the filter's, at most
 PROGRAM, FITTED = (1e-3, 8e-6), (1e-3, 2e-8)
 """Counted: a cone program, and each unknown of it; a gap's offsets for known directions, and each of both and state."""
+
+POSED, EVALUATED, OPENED = (6e-4, 1.5e-5), (3e-4, 1.6e-5), 6e-4
+"""The same: a window, and each sample of it; what gains prove, and each sample that they go back; a row on a gap."""
 
 STRETCH = 32  # panels of a gap at the highest of which gains are put together at once
 FOLLOWED = 8  # states from which on that costs less than the programs that it saves
@@ -120,6 +123,7 @@ class GainSearch:
             nodes, start = self.past(j, count, from_zero)
             begun = (system.repeating(nodes[0]) if repeats else system.lasting) if lasting else None
             tolerance = ROUGH if rough and self.follows and not from_zero else TOLERANCE
+            self.budget.add(POSED, len(nodes))
             self._windows[key] = ConeWindow(system, nodes, start, tolerance, begun, self._few_digits)
         return self._windows[key]
 
@@ -142,25 +146,31 @@ class GainSearch:
     def sketch(self, j: int, mu: Array) -> None:
         """Keep the filter's gains for rows of mu (m, n), where no others prove more; no solver."""
         nodes = self.system.nodes(j, TAIL)
-
-        def known(k: int) -> Array | None:
-            if self.system.start is None and nodes[k] < len(self.system):
-                return np.asarray(self.system.reach[nodes[k]])
-            return self.directions[nodes[k]].reach if self.directions[nodes[k]].whole else None
-
-        found = filtered(self.system, nodes, known, mu.T)
+        found = filtered(self.system, nodes, lambda k: self._bounded(nodes[k]), mu.T)
         self.directions[j].extend(mu, self.evaluate(j, mu[: len(found)], [each.gains for each in found]))
 
     def sketch_rows(self, rows: Collection[RowSearch]) -> None:
         """Once the budget is spent: the same for rows far from what is attained, at the ends and tops of gaps."""
+        wanted = dict[int, Array]()
         for j in self.system.judged if self.budget.over else ():
             mu = []
             for found in rows:
                 nodes = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)
                 if nodes.max() > PROFILE * found.lower:
                     mu.append(found.opened[j].mu[[0, int(np.argmax(nodes)), -1]])
-            if mu:
+            if mu and (self.system.start is None or j >= TAIL) and j < len(self.system):
+                wanted[j] = np.vstack(mu)
+            elif mu:
                 self.sketch(j, np.vstack(mu))
+        self.budget.spend(sum(EVALUATED) * len(wanted))
+        for j, gains in filtered_along(self.system, TAIL, self._bounded, wanted):
+            self.directions[j].extend(wanted[j], gains)
+
+    def _bounded(self, node: int) -> Array | None:
+        """Bounds on |z| after a node, if all of it is known."""
+        if self.system.start is None and node < len(self.system):
+            return np.asarray(self.system.reach[node])
+        return self.directions[node].reach if self.directions[node].whole else None
 
     def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
@@ -203,6 +213,7 @@ class GainSearch:
             nodes, start = self.past(j, max(count - branch, 1), False)
             missing = [np.zeros(len(self.system.samples[node].H)) for node in nodes[: len(nodes) - count]]
             own = [k for k, each in enumerate(gains) if len(each) == count]
+            self.budget.add(EVALUATED, len(nodes))
             filled = [[*missing, *gains[k]] for k in own]
             found |= zip(own, evaluated(self.system, nodes, start, mu[own], filled), strict=True)
         return [found[k] for k in range(len(gains))]
@@ -213,6 +224,7 @@ class GainSearch:
         nodes, start = self.past(j, max(len(gains) - len(system.nodes(j, 0)), self._tail), False)
         if (k == j and len(nodes) <= len(gains)) or not start.whole:
             return self.evaluate(j, mu[None], [gains])[0]
+        self.budget.add(EVALUATED, 2 * len(nodes))
         gains = transferred_gains(system, nodes, mu, system.latest(k, len(gains)), gains)
         return evaluated(system, nodes, start, mu[None], [gains])[0]
 
@@ -273,6 +285,7 @@ class GainSearch:
         """
         known: KnownIntegrals = {}
         rushed = gaps is None and self.budget.over
+        self.budget.spend(OPENED * len(self.system.judged))
         gaps = gaps or {j: open_row(self.system, j, row, known=known) for j in self.system.judged}
         bounds = {j: gap.bound(self.directions[j].bare if rushed else self.directions[j]) for j, gap in gaps.items()}
         nodes, panels = ({j: both[side] for j, both in bounds.items()} for side in (0, 1))
@@ -330,14 +343,8 @@ class GainSearch:
 
     def top(self, found: RowSearch) -> tuple[float, int, int]:
         """The highest bound, its gap and panel; what is not known at all does not count."""
-        best = (0.0, 0, 0)
-        for j, panels in found.panels.items():
-            nodes = found.nodes[j]
-            ends = np.where(np.isfinite(nodes), nodes, 0.0)
-            high = np.where(np.isfinite(panels), panels, np.maximum(ends[1:], ends[:-1]))
-            k = int(np.argmax(high))
-            best = max(best, (float(high[k]), j, k))
-        return best
+        tops = ((high, j, k) for j in found.panels for high, k in [found.top(j)])
+        return max(tops, default=(0.0, 0, 0))
 
     def _highest(self, found: RowSearch) -> tuple[float, int, int]:
         """The largest bound at a solved offset, its sample and the offset."""
@@ -444,7 +451,7 @@ class GainSearch:
         if self._long:
             self._rough_profile(found)
             return
-        slack = {j: self._slack(found, j) for j in gaps}  # a solve on one gap changes that of no other
+        slack = {j: found.slack(j) for j in gaps}  # a solve on one gap changes that of no other
         for _ in range(max(FILLED, 2 * len(gaps))):
             ratio, j, offset = max((r, j, o) for j, (r, o) in slack.items())
             if ratio <= PROFILE or self.budget.over:
@@ -453,7 +460,7 @@ class GainSearch:
                 self._node(found, j, offset)
             else:
                 self._combined(found, j, offset)
-            slack[j] = self._slack(found, j)
+            slack[j] = found.slack(j)
         for _ in range(ADVERSARIES[small]):
             ratio, j, offset = max((r, j, o) for j in gaps for r, o in [self._apart(found, j)])
             if ratio <= PROFILE or self.budget.over:
@@ -485,14 +492,3 @@ class GainSearch:
         ratio[[o for at, o in found.tried if at == j]] = 0.0
         offset = int(np.argmax(ratio))
         return float(ratio[offset]), offset
-
-    def _slack(self, found: RowSearch, j: int) -> tuple[float, int]:
-        """By how much the bound on gap j may be loose at an offset not solved: its ratio to what the nearest say."""
-        top, solved = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0), sorted(found.solved[j])
-        left = np.setdiff1d(np.arange(top.size), solved)
-        if not left.size or not top.any():
-            return 1.0, 0
-        sure = np.interp(left, solved, top[solved]) if solved else np.zeros(left.size)
-        ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
-        best = int(np.argmax(np.where(top[left] > 0, ratio, 0.0)))
-        return float(ratio[best]), int(left[best])

@@ -18,6 +18,7 @@ from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import DEEPEST, smallest_hitting_set
 from sampling_design.planning.problem import SAME_PRICE
+from sampling_design.planning.search_progress import ROW, VIEW
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 
@@ -53,8 +54,10 @@ def separated(
     keys, views = [key for key in keys if pool.trajectories[key[0]].reach >= level], _views(covering, pool, level)
     x, high = np.zeros(covering.columns), covering.ceiling(below)
     for _ in range(SEPARATIONS):
+        work.add(ROW, len(keys))
         program = covering.model(pool.trajectories, keys, level)
         x, _, _ = relaxed(program, np.zeros(covering.columns), high, work)
+        work.add(VIEW, len(views) * pool.steps)
         fresh = _violated(covering, pool, views, x, set(keys))
         if not fresh or work.over:
             break
@@ -204,6 +207,7 @@ class _ProofTree:
         dense = all(each.response is None and not np.any(each.touches == 1) for each in self.pool.trajectories)
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] * most // MOST_NODES if find is not None else 0
+        self.work.add(ROW, len(keys))
         self.program = self.covering.model(self.pool.trajectories, keys, level)
         self.of_samples = self._of_samples(len(keys))
 
@@ -260,6 +264,7 @@ class _ProofTree:
             if ask:
                 self.find(x, self.level)
             views = _views(self.covering, self.pool, self.level)
+            self.work.add(VIEW, len(views) * self.pool.steps)
             fresh = _violated(self.covering, self.pool, views, x, set(self.keys))[:ADDED]
             if fresh:
                 self.keys += fresh

@@ -16,6 +16,7 @@ from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.records.arrays import Array, Index, Mask
 
 HIDDEN = 1 - 1e-9  # an output counts as hidden if its ratio to the bound is below this: rounding never hides anything
+MANY = 64  # measurements from which on it is quicker to go from the largest ratio down than to look at all of them
 MOST_ENDS = 400  # ends of one trajectory, the strongest, that are looked at when a swap is weighed
 
 
@@ -127,18 +128,31 @@ class HiddenTrajectories:
 
     def proven(self, trajectory: HiddenTrajectory, at: Index, sensor: Index) -> Array:
         """For every end of a trajectory, the ratio that it proves of samples (at, sensor)."""
-        back = (np.arange(self.steps)[:, None] - at[None, :]) % self.steps
-        peaks = trajectory.peaks[back, sensor[None, :]]
-        outputs = np.max(peaks, axis=1, initial=0.0)
         allowed = self.ends[trajectory.goal].copy()
         if trajectory.at_sample:
             there = np.zeros(self.steps, dtype=bool)
             there[at] = True
             allowed &= there
+        if trajectory.response is not None and at.size > MANY:
+            outputs = self._seen(trajectory.peaks, at, sensor)
+            return np.where(allowed, trajectory.reach / np.maximum(outputs / HIDDEN, 1.0), 0.0)
+        peaks = trajectory.peaks[(np.arange(self.steps)[:, None] - at[None, :]) % self.steps, sensor[None, :]]
         if trajectory.response is None:
             return np.where(allowed, weighed(trajectory, peaks.sum(axis=1)), 0.0)
-        with np.errstate(divide="ignore"):
-            return np.where(allowed, trajectory.reach / np.maximum(outputs / HIDDEN, 1.0), 0.0)
+        outputs = np.max(peaks, axis=1, initial=0.0)
+        return np.where(allowed, trajectory.reach / np.maximum(outputs / HIDDEN, 1.0), 0.0)
+
+    def _seen(self, peaks: Array, at: Index, sensor: Index) -> Array:
+        """For every end the largest ratio that is measured, from the largest down; 0 where none is beyond its bound."""
+        chosen, outputs, left = np.zeros(peaks.shape, dtype=bool), np.zeros(self.steps), np.arange(self.steps)
+        chosen[at, sensor] = True
+        order = np.argsort(-peaks, axis=None, kind="stable")[: int(np.sum(peaks > HIDDEN))]
+        for back, j in zip(*(part.tolist() for part in np.unravel_index(order, peaks.shape)), strict=True):
+            seen = chosen[left - back, j]
+            outputs[left[seen]], left = peaks[back, j], left[~seen]
+            if not left.size:
+                break
+        return outputs
 
     def swaps(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
         """What the pool proves of `rest` with each option (step, sensor) added."""

@@ -16,7 +16,7 @@ from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.declarations import below
 
-CONE = (1e-3, 1e-6)  # work of a cone program, and for each entry that is not zero
+CONE = (1e-3, 2e-6)  # work of a cone program, and for each entry that is not zero
 STAGES = (1e-2, 1.5e-5)  # of a program over stages, and for each of them, with n states, n^1.5 times
 EXCESS = (2e-3, 4e-6)  # the same where every output is a variable
 WINDOW = (3e-4, 1.7e-5)  # of posing one in a window of samples, and for each of them
@@ -24,6 +24,9 @@ SIMULATED = (2e-4, 1.9e-5, 4e-6)  # of simulating what it found, and for each sa
 
 COVER, NODE = (5e-3, 2e-5), 0.2
 """Of an integer program, and for each entry; a node of its tree more costs so much of that."""
+
+ROW, VIEW = (0.0, 3e-5), (0.0, 2.4e-7)
+"""Of a row of a trajectory in a program; of looking where a point breaks one, for each of them and step."""
 
 MEETING = (4e-5, 2e-9)  # of a node of a tree of sets that a choice must meet, and for each entry of them
 

@@ -12,8 +12,11 @@ import sampling_design as sd
 from sampling_design.accuracy import forgetting, gap_table
 from sampling_design.accuracy import sampled_system as chains
 from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.gains import filtered, filtered_along
+from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.linalg import expm_batch
+from sampling_design.observability.alignment import align
 from tests.cases import few
 
 PLANTS = {
@@ -192,3 +195,20 @@ def test_integrals_over_many_gaps_are_those_of_each(ball, q):
     each = [gaps[i].integral(columns, ball) for i, columns in zip(at, g, strict=True)]
     np.testing.assert_allclose(found, each, rtol=1e-13)
     assert gap_table.GapIntegrals(gaps).over(at, g[:, :, :0], ball).shape == (5, 0)
+
+
+@pytest.mark.parametrize(("ball", "count"), [(False, 12), (True, 40)])
+def test_the_filters_gains_of_many_samples_are_those_of_each(ball, count):
+    """One way back through all samples, which rows join at theirs: what follows a spent budget takes no more."""
+    plant = sd.Plant([[-0.1, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.3, 1.0]])
+    schedule = align(plant, sd.PeriodicSchedule([0.7, 1.1, 0.4, 0.9, 1.3]))
+    noise = 0.1 if ball else np.full(2, 0.1)
+    question = AccuracyQuestion.of(plant, schedule, 0.1, noise)
+    system, _ = question.filter_bounds(plant)
+    wanted = {j: np.random.default_rng(j).normal(size=(2, 2)) for j in (0, 3, 4)}
+    along = dict(filtered_along(system, count, system.reach.__getitem__, wanted))
+    for j, rows in wanted.items():
+        nodes = system.nodes(j, count)
+        alone = filtered(system, nodes, lambda k, nodes=nodes: system.reach[nodes[k]], rows.T)
+        assert [each.value for each in along[j]] == pytest.approx([each.value for each in alone], rel=1e-9)
+        assert [len(each.gains) for each in along[j]] == [len(each.gains) for each in alone]

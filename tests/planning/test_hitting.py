@@ -14,7 +14,7 @@ from sampling_design.planning.bounds import CostProver
 from sampling_design.planning.covering import CoveringProgram, CoveringRows, relaxed
 from sampling_design.planning.discrete_plant import discretize
 from sampling_design.planning.evidence import CostTree, PlanBound, bound_holds, proven_cost
-from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
+from sampling_design.planning.hidden_trajectories import HIDDEN, MANY, HiddenTrajectories, HiddenTrajectory
 from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.planning.problem import pose_plan
 from sampling_design.records.budget import Budget
@@ -31,6 +31,21 @@ def test_a_row_that_nothing_sees_is_dearer_than_all_that_there_is():
     count = 1200
     program = CoveringProgram(np.ones(count), sparse.csr_matrix((1, count)), np.ones(1))
     assert relaxed(program, np.zeros(count), np.ones(count), Budget(counted=True))[2] > count
+
+
+@pytest.mark.parametrize("taken", [0.3, 0.9])
+def test_what_many_measurements_see_is_what_each_of_them_sees(taken):
+    """Looked for from the largest ratio down, since most ends are seen by one of the first."""
+    rng, steps = np.random.default_rng(3), 90
+    peaks = rng.uniform(0.0, 1.6, (steps, 2))
+    peaks[4] = 30.0
+    at, sensor = np.nonzero(rng.random((steps, 2)) < taken)
+    trajectory = HiddenTrajectory(0, 2.0, 0, False, peaks, NO_FLIGHT)
+    pool = HiddenTrajectories(steps, [np.arange(steps) % 7 != 3])
+    seen = [max(peaks[(end - i) % steps, j] for i, j in zip(at, sensor, strict=True)) for end in range(steps)]
+    plain = np.where(pool.ends[0], 2.0 / np.maximum(np.array(seen) / HIDDEN, 1.0), 0.0)
+    assert at.size > (MANY if taken > 0.5 else steps // 3)
+    assert np.array_equal(pool.proven(trajectory, at, sensor), plain)
 
 
 def posed(samples=3, *, closed=(), **more):

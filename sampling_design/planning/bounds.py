@@ -54,6 +54,8 @@ def separated(
     keys, views = [key for key in keys if pool.trajectories[key[0]].reach >= level], _views(covering, pool, level)
     x, high = np.zeros(covering.columns), covering.ceiling(below)
     for _ in range(SEPARATIONS):
+        if work.over:
+            break
         work.add(ROW, len(keys))
         program = covering.model(pool.trajectories, keys, level)
         x, _, _ = relaxed(program, np.zeros(covering.columns), high, work)

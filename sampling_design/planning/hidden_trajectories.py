@@ -134,7 +134,7 @@ class HiddenTrajectories:
             there[at] = True
             allowed &= there
         if trajectory.response is not None and at.size > MANY:
-            outputs = self._seen(trajectory.peaks, at, sensor)
+            outputs = self._largest_ratios(trajectory.peaks, at, sensor)
             return np.where(allowed, trajectory.reach / np.maximum(outputs / HIDDEN, 1.0), 0.0)
         peaks = trajectory.peaks[(np.arange(self.steps)[:, None] - at[None, :]) % self.steps, sensor[None, :]]
         if trajectory.response is None:
@@ -142,14 +142,14 @@ class HiddenTrajectories:
         outputs = np.max(peaks, axis=1, initial=0.0)
         return np.where(allowed, trajectory.reach / np.maximum(outputs / HIDDEN, 1.0), 0.0)
 
-    def _seen(self, peaks: Array, at: Index, sensor: Index) -> Array:
+    def _largest_ratios(self, peaks: Array, at: Index, sensor: Index) -> Array:
         """For every end the largest ratio that is measured, from the largest down; 0 where none is beyond its bound."""
         chosen, outputs, left = np.zeros(peaks.shape, dtype=bool), np.zeros(self.steps), np.arange(self.steps)
         chosen[at, sensor] = True
         order = np.argsort(-peaks, axis=None, kind="stable")[: int(np.sum(peaks > HIDDEN))]
         for back, j in zip(*(part.tolist() for part in np.unravel_index(order, peaks.shape)), strict=True):
-            seen = chosen[left - back, j]
-            outputs[left[seen]], left = peaks[back, j], left[~seen]
+            there = chosen[left - back, j]
+            outputs[left[there]], left = peaks[back, j], left[~there]
             if not left.size:
                 break
         return outputs

@@ -13,7 +13,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy import limit
 from sampling_design.certificates.compare import contraction
-from sampling_design.certificates.exact.window_gains import WindowConditions
+from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import costs
@@ -295,7 +295,8 @@ def test_a_program_of_an_inclusion_that_is_too_large_is_not_posed(limit, value, 
 
 def test_a_late_search_follows_few_windows(pieces):
     """The first scale that is allowed will do: ten more were tried for one digit of a shape that is judged anyway."""
-    pieces.of(WindowConditions, "value")
+    pieces.of(WindowSet, "looked")
+    pieces.seconds = 0.1
     assert sd.certify(OSCILLATOR, UNEVEN, eta=0.3, budget=0.5).verify().passed
     assert pieces.count <= 4
 

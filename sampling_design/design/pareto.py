@@ -18,11 +18,12 @@ from sampling_design.design.problem.requirement import TIMING, Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant
-from sampling_design.records import checks, sweeps
+from sampling_design.records import checks
 from sampling_design.records.budget import Budget, Progress
 from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
 from sampling_design.records.record import ListRecord, PlainRecord, above, below, counted
 from sampling_design.records.signatures import checked
+from sampling_design.records.sweeps import digest_of
 from sampling_design.records.workers import Workers, check_workers, numbered
 from sampling_design.schedules.jitter import TimingTolerance
 
@@ -272,7 +273,7 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
     """Digest of everything that a point depends on but its count."""
     required = requirement.replace(samples=None, target_sigma=None).to_dict()
-    return sweeps.digest(plant, required, options)
+    return digest_of(plant, required, options)
 
 
 def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:

@@ -27,7 +27,7 @@ FORMAT = "sampling-design/journal/2"
 Kept = TypeVar("Kept")
 
 
-def digest(*parts: object) -> str:
+def digest_of(*parts: object) -> str:
     """Digest of what results depend on: plain data, arrays, records, functions by their names, and who computes them.
 
     Raises ArgumentError of a function that no module holds: another one may have its name.
@@ -89,7 +89,7 @@ class Journal(Generic[Kept]):
                 for k, line in enumerate(whole[1:], 2):
                     data = file_io.from_json(line, where)
                     answered = entry(data, f"line {k}")
-                    if answered["digest"] != digest(key, answered["name"], data["result"]):
+                    if answered["digest"] != digest_of(key, answered["name"], data["result"]):
                         raise refuse(f"line {k}", "was changed since it was written")
                     self.known[answered["name"]] = answered["result"]
         if cut or not whole:
@@ -107,7 +107,7 @@ class Journal(Generic[Kept]):
 
     def add(self, name: str, result: Mapping[str, object]) -> None:
         """Write down a result; it is on disk when this returns."""
-        entry = {"name": name, "result": result, "digest": digest(self._key, name, result)}
+        entry = {"name": name, "result": result, "digest": digest_of(self._key, name, result)}
         line = json.dumps(entry, allow_nan=False) + "\n"
         try:
             with self.path.open("a", encoding="utf-8") as stream:
@@ -223,7 +223,7 @@ def sweep(
     names = tuple(named)
     journal = None
     if resume is not None:
-        journal = Journal(resume, digest(question, {name: named[name] for name in names}), _read)
+        journal = Journal(resume, digest_of(question, {name: named[name] for name in names}), _read)
     known: dict[str, Answer] = dict(journal.known) if journal is not None else {}
     todo = [name for name in names if name not in known]
     for place, answer in numbered(_answered, [(question, named[name]) for name in todo], workers):

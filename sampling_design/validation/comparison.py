@@ -23,7 +23,7 @@ from sampling_design.records import checks
 from sampling_design.records.budget import Progress
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.signatures import checked
-from sampling_design.records.sweeps import Journal, digest
+from sampling_design.records.sweeps import Journal, digest_of
 from sampling_design.records.vector_bounds import VectorBound
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
@@ -171,7 +171,7 @@ def validate(
         settled = (plant, schedule, certificate, bounds, options, duration, count, _seed_of(root))
         study = ValidationStudy(plant, schedule, certificate, bounds, options, duration)
         if resume is not None:
-            study.journal = Journal(resume, digest(*settled), read_trials)
+            study.journal = Journal(resume, digest_of(*settled), read_trials)
         study.run(chosen, root.spawn(count), workers, progress)
         return study.report({**_settings(study.line, count, chosen, bounds, root), "horizon": study.horizon})
 

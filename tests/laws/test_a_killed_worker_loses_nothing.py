@@ -21,7 +21,7 @@ from sampling_design.cli.options import workforce
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
 from sampling_design.records import sweeps
 from sampling_design.records import workers as workforces
-from sampling_design.records.sweeps import Journal, digest, sweep
+from sampling_design.records.sweeps import Journal, digest_of, sweep
 from sampling_design.validation import monte_carlo
 from tests.cases import few
 
@@ -228,10 +228,10 @@ def test_a_journal_is_of_what_it_was_written_for(tmp_path, monkeypatch):
     heavy = [np.eye(4) + np.diag([0.0, 0.0, 0.0, change]) for change in (0.0, 1e-9, 1.0)]
     boxes = [sd.Constraints(x=(np.zeros(12), np.linspace(1.0, last, 12))) for last in (2.0, 3.0)]
     seeds = [np.random.default_rng(k) for k in (1, 1, 2)]
-    told = [digest(each) for each in (*[sd.CostFunction(P2=P2) for P2 in heavy], *boxes, *seeds)]
+    told = [digest_of(each) for each in (*[sd.CostFunction(P2=P2) for P2 in heavy], *boxes, *seeds)]
     assert [told.count(each) for each in told] == [1, 1, 1, 1, 1, 2, 2, 1]
-    assert digest(SCHEDULES["0.5"].between) != digest(SCHEDULES["0.9"].between)
-    assert digest({"x": MappingProxyType({"a": 1.0})}) != digest({"x": MappingProxyType({"a": 2.0})})
+    assert digest_of(SCHEDULES["0.5"].between) != digest_of(SCHEDULES["0.9"].between)
+    assert digest_of({"x": MappingProxyType({"a": 1.0})}) != digest_of({"x": MappingProxyType({"a": 2.0})})
     path = tmp_path / "sweep.journal"
     with pytest.raises(ArgumentError, match="`resume` needs a function of a module"):
         sweep(lambda schedule: QUESTION(schedule), SCHEDULES, resume=path)
@@ -288,7 +288,7 @@ def sealed(line, path):
     if not isinstance(entry, dict):
         return line
     key = json.loads(path.read_text().splitlines()[0])["key"]
-    return json.dumps(entry | {"digest": digest(key, entry["name"], entry.get("result"))})
+    return json.dumps(entry | {"digest": digest_of(key, entry["name"], entry.get("result"))})
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ def sealed(line, path):
 )
 def test_a_line_that_is_no_result_is_refused(line, said, tmp_path):
     path = tmp_path / "j"
-    Journal(path, digest(QUESTION, SCHEDULES), a_table)
+    Journal(path, digest_of(QUESTION, SCHEDULES), a_table)
     path.write_text(path.read_text() + sealed(line, path) + "\n")
     with pytest.raises(FileFormatError, match=said):
         sweep(QUESTION, SCHEDULES, resume=path)

@@ -5,6 +5,7 @@ The clock counts pieces of work (flows, values, judged choices, integrated gaps)
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy import limit
 from sampling_design.certificates.compare import contraction
+from sampling_design.certificates.exact import proof, riccati
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
@@ -299,6 +301,17 @@ def test_a_late_search_follows_few_windows(pieces):
     pieces.seconds = 0.1
     assert sd.certify(OSCILLATOR, UNEVEN, eta=0.3, budget=0.5).verify().passed
     assert pieces.count <= 4
+
+
+def test_a_window_that_is_followed_alone_ends_with_the_budget(pieces, monkeypatch):
+    """Where all together take too much work the highest is followed for four times as many samples: for 3 s more."""
+    monkeypatch.setattr(proof, "LOOK_WORK", 1e5)
+    pieces.of(riccati, "_may_still_grow")
+    pieces.seconds = 1e-3
+    slow = sd.Plant([[-0.004, 0.013], [-0.013, -0.004]], [[0.01, 0.0]])
+    with contextlib.suppress(UndecidedError):
+        sd.certify(slow, sd.PeriodicSchedule([1.0]), eta=0.02, P2=1e-3 * np.eye(2), budget=0.4)
+    assert 350 < pieces.count < 410
 
 
 @pytest.mark.parametrize("most", [1, 20_000])

@@ -280,7 +280,8 @@ def supremum(problem: WindowProblem, finer: int = 1, work: WorkLimit | None = No
     own, others = peaks[: index.size], peaks[index.size :]
     if steady is not None and work is not None and work.over:  # what still rises is followed alone
         rising = (max(some, key=attrgetter("value")) for some in (own, [*own, *others]))
-        own, others = ([_followed_further(problem, peak, steady)] for peak in rising)
+        timed = WorkLimit(np.inf, stop=work.stop)
+        own, others = ([_followed_further(problem, peak, steady, timed)] for peak in rising)
     if steady is not None:
         own.append(long_run(problem, steady, max(own, key=attrgetter("value")), work))
     at_sample = refine(problem, max(own, key=attrgetter("value")), 0.0, 1 / parts.size, work)
@@ -289,10 +290,10 @@ def supremum(problem: WindowProblem, finer: int = 1, work: WorkLimit | None = No
     return max(anywhere, at_sample, key=attrgetter("value")), at_sample
 
 
-def _followed_further(problem: WindowProblem, peak: RiccatiPeak, steady: Array) -> RiccatiPeak:
+def _followed_further(problem: WindowProblem, peak: RiccatiPeak, steady: Array, work: WorkLimit) -> RiccatiPeak:
     """The peak of the same window after `FURTHER` times as many samples, if it is higher."""
     last, at = min(FURTHER * (peak.step + 1), MAX_STEPS), (np.array([peak.index]), np.array([peak.remaining]))
-    return max(peak, *sweep(problem, *at, steady=steady, last_step=last), key=attrgetter("value"))
+    return max(peak, *sweep(problem, *at, steady=steady, last_step=last, work=work), key=attrgetter("value"))
 
 
 def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: WorkLimit | None = None) -> RiccatiPeak:

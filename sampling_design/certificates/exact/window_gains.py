@@ -28,7 +28,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 LATER = 1e-9  # share of its gap by which a first sample is later than in the rhythm, and not by rounding of its time
 MERGED = 1e-3  # a window this near the periodic solution, relative to it or to P2^-1, is followed no further
 MOST_WINDOWS = 48  # windows of one set: with fewer, weights are found that other windows make useless
-FOUR = 4
+SMALL = 4  # states up to which all eigenvalues take less than to ask which of them count
 MOST_STEPS = 150
 ACTIVE = 0.05
 """Times whose ln lambda is below the largest by more than this bind nothing for the moment: a descent leaves out their
@@ -334,7 +334,7 @@ def _hopeful(ratios: Array, window: Index | None = None) -> Mask:
     below, least = np.zeros(int(window.max(initial=-1)) + 1), np.exp(-ACTIVE)
     below[window[leading]] = diagonal[leading]
     hopeful = ~(bound < least * below[window])
-    if ratios.shape[-1] > FOUR and np.count_nonzero(hopeful) > MANY * leading.size:
+    if ratios.shape[-1] > SMALL and np.count_nonzero(hopeful) > MANY * leading.size:
         largest = np.linalg.eigvalsh(ratios[leading])[:, -1] * (1 - SAFE)
         below[window[leading]] = np.maximum(diagonal[leading], largest)
         where = np.flatnonzero(hopeful := hopeful & ~(bound < least * below[window]))

@@ -74,7 +74,7 @@ class BoundPart:
     shifted: its windows count from the sample. "local" bounds the schedules of small zones by windows that follow their
     samples: the rows of `tied` (see `tied_windows`) say which, `starts` are of no account, and `tilt` (k,) are the
     multipliers of the spacing. "ordered" bounds those of its zones by windows that begin just before each sample:
-    `weights` has one for each (see `ordered_windows`). Where cost is limited, `chosen` (k, p) says what each sample
+    `weights` has one for each (see `ordered_bound`). Where cost is limited, `chosen` (k, p) says what each sample
     measures at most, in the schedules that are meant. "gaps" bounds all schedules by windows that begin at each sample:
     `starts` are the gaps after it at which `weights` are given, and `tilt` the function of distances that adds up to
     nothing.

@@ -1,7 +1,7 @@
 """All times at once by a quasi-Newton method, for plants whose flow stretches no state.
 
 The least eigenvalue over all windows is made smooth, and ever less so (`OrthogonalFlowWindows.soft`). Where several
-eigenvalues tie that ends a little below what small semidefinite programs reach (`refine`), from far away and at a
+eigenvalues tie that ends a little below what small semidefinite programs reach (`refined`), from far away and at a
 tenth of their time: many starts can be led to their best schedules.
 """
 
